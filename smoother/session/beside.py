@@ -7,14 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.errors import SessionError
 from smoother.samples import Problem, RawMag, WheelSpeed
 from smoother.session.csv_form import problems_of_table, require_clock
-from smoother.session.restarts import Restarts, over_restarts
 from smoother.session.rows import RowFilter, put_in_time_order
-from smoother.session.set_back import joined_where_set_back
 from smoother.session.tables import read_table
-from smoother.session.text_order import in_order_of_numbers
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, unit_by_rate
 
 FIELD_COLUMNS = ("mx", "my", "mz")
@@ -27,16 +23,12 @@ class SessionClock:
     """What is known of the clock that all tables of a session share.
 
     fixes_t (M,) s : times of the fixes, which show whether a sensor is slow or its times are in another unit. Where it
-    has_imu, times are in the unit of that, imu_unit, or in seconds; a table alone may be of any rate. restarts : of the
-    clock.
-    is_set_back : the clock was set back.
+    has_imu, times are in the unit of that, imu_unit, or in seconds; a table alone may be of any rate.
     """
 
     fixes_t: Array | None = None
     has_imu: bool = False
     imu_unit: str | None = None
-    restarts: Restarts | None = None
-    is_set_back: bool = False
 
 
 ANY_CLOCK = SessionClock()
@@ -74,19 +66,12 @@ def read_wheel_speed(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[Wheel
 
 def _read(path: Path, names: Sequence[str], prefix: str, clock: SessionClock) -> tuple[Array, Array, list[Problem]]:
     """Times (N,) s on the session's clock and columns (N, n) of a table as they stand, and what is to be said of it."""
-    table = in_order_of_numbers(read_table(path, ("t_s", *names)))
+    table = read_table(path, ("t_s", *names))
     values, t = table.stack(*names), table.column("t_s")
     require_clock(path, t)
     unit = _unless_seconds(t, clock.imu_unit if clock.has_imu else unit_by_rate(t), clock.fixes_t)
     t, said = in_seconds(t, unit, prefix, path.name)
-    if clock.restarts is not None and np.isfinite(t).any():
-        shifts = clock.restarts.of_compass(t)
-        if shifts is None:
-            raise SessionError(f"{path.name}: its clock did not start again when that of the samples did")
-        t, used = over_restarts(t, shifts)
-        t, values = t[used], values[used]
-    t, joined = joined_where_set_back(t, prefix, path.name) if clock.is_set_back else (t, [])
-    return t, values, [*problems_of_table(table, prefix), *said, *joined]
+    return t, values, [*problems_of_table(table, prefix), *said]
 
 
 def _unless_seconds(t: Array, unit: str | None, fixes_t: Array | None) -> str | None:

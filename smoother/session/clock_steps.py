@@ -14,7 +14,7 @@ from smoother.arrays import Array, median
 
 BESIDE = 10  # rows on either side, whose times go on
 EVEN = 0.6  # share of the usual time between rows by which it may differ
-LONGEST = 5.0  # s; a clock that falls back by more was started again
+LONGEST = 20.0  # s; a clock that falls back by more was started again; 18 are the leap seconds since 2017
 MOST_FALLS = 20  # of times in rows whose clock was set back; more are in another order
 NEARBY = 2  # times the rows that the clock went back by; rows in another order leap ahead within as many
 SAME = 0.5  # share of the rows whose time comes again that may hold the same values

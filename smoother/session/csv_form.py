@@ -12,11 +12,8 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.plausible import are_exchanged, are_in_milli_g, turned_to_metres, turned_to_radians
-from smoother.session.restarts import Restarts, over_restarts, pair_parts
-from smoother.session.set_back import joined_where_set_back
+from smoother.session.plausible import are_in_milli_g, turned_to_metres, turned_to_radians
 from smoother.session.tables import NOTHING, Table, head_lines, names_of, read_table
-from smoother.session.text_order import in_order_of_numbers
 from smoother.session.time_unit import UNITS, in_seconds, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
 
@@ -42,16 +39,12 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     return imu, problems
 
 
-def read_imu_and_unit(
-    path: Path, *, may_be_set_back: bool = True, is_slow: bool = False, shifts: Array | None = None
-) -> tuple[RawImu, list[Problem], str | None]:
+def read_imu_and_unit(path: Path, *, is_slow: bool = False) -> tuple[RawImu, list[Problem], str | None]:
     """The same, and the unit that its times are in where it is not seconds.
 
-    may_be_set_back : a clock that falls by an hour or a day was set, and what follows is joined; not started again.
     is_slow : times are in seconds, however far apart they are.
-    shifts (K,) s : to be added to the times of each part between restarts of the clock, NaN for parts left out.
     """
-    table = in_order_of_numbers(read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS)))
+    table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     problems = list(problems_of_table(table, "imu"))
     _require_numbers(path, "t_s", t)
@@ -60,50 +53,25 @@ def read_imu_and_unit(
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
-    if are_exchanged(accel, gyro, t):
-        accel, gyro = gyro, accel
-        text = "gravity is in gx, gy, gz, as if accelerations and turn rates were exchanged; taken as such"
-        problems.append(Problem("imu_exchanged", f"{path.name}: {text}"))
     is_milli = are_in_milli_g(accel, t)
     problems += [*turned_to_radians(gyro, path.name, is_milli=is_milli), *said, *turned_to_metres(accel, t, path.name)]
-    if shifts is not None:
-        t, used = over_restarts(t, shifts)
-        t, accel, gyro = t[used], accel[used], gyro[used]
-    t, joined = joined_where_set_back(t, "imu", path.name) if may_be_set_back else (t, [])
     imu, of_rows = screen_imu(path.name, t, accel, gyro)
-    return imu, [*problems, *joined, *of_rows], unit
+    return imu, [*problems, *of_rows], unit
 
 
-def find_restarts(imu_table: Path, fix_table: Path, imu_unit: str | None) -> Restarts | None:
-    """Return which parts of imu.csv and gps.csv belong together; None where not both have a clock that started again.
-
-    imu_unit : unit of the times in imu.csv, where it is not seconds.
-    """
-    samples = in_order_of_numbers(read_table(imu_table, ("t_s",)))
-    fixes = in_order_of_numbers(read_table(fix_table, ("t_s",), UTC_COLUMNS, iso_times=("utc",)))
-    samples_t, _ = in_seconds(samples.column("t_s"), imu_unit, "imu", imu_table.name)
-    t, (unix_s, _) = fixes.column("t_s"), _unix_seconds(fixes)
-    fixes_t, _ = in_seconds(t, unit_of_fixes(fix_table.name, t, unix_s, imu_unit), "gps", fix_table.name)
-    return pair_parts(samples_t, fixes_t, unix_s, f"{imu_table.name} and {fix_table.name}")
-
-
-def read_fixes(
-    path: Path, imu_unit: str | None = None, shifts: Array | None = None, *, is_alone: bool = False
-) -> tuple[GnssFixes, list[Problem]]:
+def read_fixes(path: Path, imu_unit: str | None = None, *, is_alone: bool = False) -> tuple[GnssFixes, list[Problem]]:
     """Read gps.csv, columns as in the contract; maybe without a single usable fix.
 
-    imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds. shifts (K,) s : see
-    `read_imu_and_unit`. is_alone : there is no imu.csv.
+    imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds. is_alone : there
+    is no imu.csv.
     """
-    table = in_order_of_numbers(read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",)))
+    table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     for name in FIX_COLUMNS:
         _require_numbers(path, name, table.column(name))
     require_clock(path, t)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, finer = _finer_by_utc(t, unix_s, path.name)
-    t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
-    t, joined = joined_where_set_back(t, "gps", path.name, unix_s)
     sigma = _per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m"))
     fix, said_of_quality = _quality(table, sigma)
     columns = FixColumns(
@@ -125,10 +93,9 @@ def read_fixes(
         unix_s=unix_s,
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
-    columns = columns if np.all(used) else columns.take(np.flatnonzero(used))
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name, is_alone=is_alone)
-    of_columns = [*said, *finer, *joined, *said_of_utc, *said_of_quality]
+    of_columns = [*said, *finer, *said_of_utc, *said_of_quality]
     return fixes, [*problems_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
 
 
@@ -199,11 +166,6 @@ def problems_of_table(table: Table, prefix: str) -> Iterator[Problem]:
             f"line {table.changed[0]}: a header line with other columns than before{more}; what follows is read by it"
         )
         yield Problem(f"{prefix}_header_changed", f"{table.file}: {text}. Were files joined?", len(table.changed))
-    if count := table.sorted_as_text:
-        text = (
-            f"rows sorted by t_s as text (0.1, 10.3, 11.1, 2.2); put in order by number, {counted(count, 'row')} moved"
-        )
-        yield Problem(f"{prefix}_sorted_as_text", f"{table.file}: {text}", count)
     if table.headers:
         lines = counted(table.headers, "header line")
         text = f"{table.file}: {lines} once more between the rows; left out. Were files joined?"

@@ -15,7 +15,6 @@ from smoother.session.climb import without_wrong_climb
 from smoother.session.fix_columns import FixColumns, metres, sent_speed
 from smoother.session.rows import RowFilter
 from smoother.session.slow_zeros import without_zeros_of_slow
-from smoother.session.speed_parts import parts_in_other_units
 from smoother.session.way_steps import (
     BASELINE,
     FASTER,
@@ -26,7 +25,6 @@ from smoother.session.way_steps import (
     Steps,
     distance,
     steps_of,
-    stretches,
 )
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
@@ -49,8 +47,6 @@ FEWEST_RENEWED, RENEWED_ALIKE = 30, 0.8  # velocities, and share of them that ar
 STUCK_SHARE = 0.25  # of the positions against it: a stuck course is right once a lap, a jump of positions is short
 SPEED_OFF = (2.0, 0.15)  # m/s and share of what the positions say, which over BASELINE are noisy by less
 COURSE_OFF = 45.0  # deg; a bend within the delay between velocity and position mostly makes less
-# deg off the way, s and rows for which a course points backwards; within a delay of a second a hairpin makes 90
-BACKWARDS, BACKWARDS_TIME, BACKWARDS_ROWS = 135.0, 3.0, 5
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, -0.25, -0.5)  # s by which velocities come behind their positions, or before them
 AXES_ALIKE = 1.1  # times one another; latitude and longitude exchanged make 1.4 at 45 degrees, 1.1 at 17 of both
 COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
@@ -62,12 +58,9 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     t (N,) s, in order. Taken for measured, it would pull the path away from fixes that are right.
     """
     _say_missing_course(rows, c)
-    converted = _without_wrong_unit(rows, t, c)
-    # speeds below those of the positions may be the positions' noise, where nothing says that any are in another unit
-    units = UNIT_RATIOS if converted is not c else {name: ratio for name, ratio in UNIT_RATIOS.items() if ratio > 1.0}
-    c = _without_wrong_unit_in_parts(rows, t, converted, units)
+    c = _without_wrong_unit(rows, t, c)
     c = _without_repeats(rows, without_zeros_of_slow(rows, t, _without_stuck(rows, t, c)))
-    c = _backwards_in_parts(rows, t, _without_wrong_course(rows, t, c))
+    c = _without_wrong_course(rows, t, c)
     return without_wrong_climb(rows, t, c)
 
 
@@ -97,30 +90,6 @@ def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
     rows.say("speed_unit", f"{text}, as if in {unit}; taken as such", 1)
     names = ("speed", "velocity_north", "velocity_east")  # upwards it may be in a unit of its own
     return replace(c, **{name: getattr(c, name) / UNIT_RATIOS[unit] for name in names}, velocity_up=unknown)
-
-
-def _without_wrong_unit_in_parts(rows: RowFilter, t: Array, c: FixColumns, units: dict[str, float]) -> FixColumns:
-    """The same of stretches whose speeds are in another unit than the others; where it changes they are left out."""
-    if t.size < FEWEST_STEPS:
-        return c
-    steps, speed = steps_of(t, c), sent_speed(c)
-    known = np.isfinite(speed)
-    if np.count_nonzero(known) < FEWEST_STEPS:
-        return c
-    sent = np.interp(steps.t, t[known], speed[known])
-    told = steps.told(steps.noise(slice(None))) & known
-    ratios = sent / np.maximum(steps.speed, FASTER)
-    for unit, surely, maybe in parts_in_other_units(steps.t, ratios, told, units):
-        ratio, begin, end = units[unit], t[maybe][0], t[maybe][-1]
-        text = f"its speeds from about {begin:.0f} to {end:.0f} s are {ratio:.2f} times those of its positions"
-        rows.say("speed_unit", f"{text}, as if in {unit}; taken as such", maybe.stop - maybe.start)
-        for name in ("speed", "velocity_north", "velocity_east", "velocity_up"):
-            values = getattr(c, name).copy()
-            values[maybe] = np.nan
-            if name != "velocity_up":  # upwards it may be in a unit of its own
-                values[surely] = getattr(c, name)[surely] / ratio
-            c = replace(c, **{name: values})
-    return c
 
 
 def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
@@ -264,29 +233,6 @@ def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumn
     rows.say("course_wrong", f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used", 1)
     unknown = np.full(t.size, np.nan)
     return replace(c, course_deg=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
-
-
-def _backwards_in_parts(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns without direction where for some seconds it points against the way of the positions.
-
-    With the rows beside that are too slow to tell. However late it is, in no bend does a course do that for so long.
-    """
-    has_parts = np.isfinite(c.velocity_north) & np.isfinite(c.velocity_east)
-    course = np.where(has_parts, np.degrees(np.arctan2(c.velocity_east, c.velocity_north)), c.course_deg)
-    steps = steps_of(t, c)
-    known = steps.whole & np.isfinite(course) & ~_says_slow(c)
-    told = np.flatnonzero(known & steps.told(steps.noise(known))) if np.any(known) else np.empty(0, dtype=np.intp)
-    wrong, ends = np.zeros(t.size, dtype=np.bool_), np.concatenate([[-1], told, [t.size]])
-    for first, end in stretches(steps.angle_from(course)[told] > BACKWARDS, 0):
-        if end - first >= BACKWARDS_ROWS and t[told[end - 1]] - t[told[first]] > BACKWARDS_TIME:
-            wrong[ends[first] + 1 : ends[end + 1]] = True
-    wrong &= np.isfinite(course)
-    if not (count := int(np.count_nonzero(wrong))):
-        return c
-    where = f"course points against the way of the positions in {counted(count, 'row')}"
-    rows.say("course_backwards", f"{where}, from {t[np.argmax(wrong)]:.0f} s on; not used there", count)
-    names = ("course_deg", "velocity_north", "velocity_east", "velocity_up")
-    return replace(c, **{name: np.where(wrong, np.nan, getattr(c, name)) for name in names})
 
 
 def _are_exchanged(t: Array, steps: Steps, c: FixColumns, told: BoolArray) -> bool:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
 from smoother.session.files import IMU_NAMES, Foreign, SessionFiles
@@ -89,13 +88,13 @@ def _read_thesis(files: SessionFiles) -> Recording:
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
     from smoother.session.beside import SessionClock, read_mag, read_wheel_speed
-    from smoother.session.csv_form import find_restarts, read_imu_and_unit
+    from smoother.session.csv_form import read_imu_and_unit
     from smoother.session.tables import NoRowsError
     from smoother.session.time_unit import lasts_like
 
     imu_table = files.imu_table()
     mag_table, wheel_table = (files.find(f"{name}.csv", f"{name}.csv.gz") for name in ("mag", "wheel_speed"))
-    imu, mag, wheel, unit, restarts = None, None, None, None, None
+    imu, mag, wheel, unit = None, None, None, None
     problems: list[Problem] = []
     if imu_table is not None:
         try:
@@ -109,17 +108,11 @@ def _read_columns(files: SessionFiles) -> Recording:
     gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
     if imu_table is not None and imu is not None:
         is_slow = unit is not None and not lasts_like(imu.t, gnss.t, unit)
-        may_be_set_back = not _is_set_back(problems) or _is_set_back(gnss_problems)
-        if is_slow or not may_be_set_back:
-            imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=may_be_set_back, is_slow=is_slow)
-        if (fix_table := files.fix_table()) is not None and _is_restarted([*problems, *gnss_problems]):
-            restarts = find_restarts(imu_table, fix_table, unit)
-        if restarts is not None:
-            imu, problems, unit = read_imu_and_unit(imu_table, is_slow=is_slow, shifts=restarts.samples)
-            gnss, gnss_file, gnss_problems = _read_any_fixes(files, True, unit, restarts.fixes)
-            problems.append(restarts.problem)
+        if is_slow:
+            imu, problems, unit = read_imu_and_unit(imu_table, is_slow=True)
+        _require_one_run(imu_table.name, gnss_file.name, problems, gnss_problems)
     problems += gnss_problems
-    clock = SessionClock(gnss.t, imu is not None, unit, restarts, _is_set_back(problems))
+    clock = SessionClock(gnss.t, imu is not None, unit)
     if mag_table is not None:
         try:
             mag, said = read_mag(mag_table, clock)
@@ -137,24 +130,20 @@ def _read_columns(files: SessionFiles) -> Recording:
     return Recording(gnss, gnss_file.name, inputs, tuple(problems), imu, imu_file, mag, wheel_speed=wheel)
 
 
-def _is_set_back(problems: Sequence[Problem]) -> bool:
-    """Whether a clock was set back; that of the samples is that of the fixes, which may know better."""
-    return any(problem.code.endswith("_clock_set_back") for problem in problems)
+def _require_one_run(imu: str, fixes: str, of_imu: Sequence[Problem], of_fixes: Sequence[Problem]) -> None:
+    """Raise SessionError where both clocks started again: the longest part of each may be of different drives."""
+    restarted = [any(problem.code.endswith("_clock_restart") for problem in said) for said in (of_imu, of_fixes)]
+    if all(restarted):
+        raise SessionError(f"{imu} and {fixes}: t_s starts again in both; split both files there, a session each")
 
 
-def _is_restarted(problems: Sequence[Problem]) -> bool:
-    return any(problem.code.endswith("_clock_restart") for problem in problems)
-
-
-def _read_any_fixes(
-    files: SessionFiles, has_imu: bool, imu_unit: str | None, shifts: Array | None = None
-) -> tuple[GnssFixes, Path, list[Problem]]:
-    """Fixes and what was wrong with them; shifts (K,) s : of the parts of gps.csv where its clock started again."""
+def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) -> tuple[GnssFixes, Path, list[Problem]]:
+    """Fixes and what was wrong with them."""
     table, logs = files.fix_table(), files.sentence_logs()
     if table is not None:
         from smoother.session.csv_form import read_fixes
 
-        gnss, problems = read_fixes(table, imu_unit, shifts, is_alone=not has_imu)
+        gnss, problems = read_fixes(table, imu_unit, is_alone=not has_imu)
         if logs and files.chosen is None:
             problems.append(Problem("gps_csv_preferred", preferred(table.name, logs)))
         return gnss, table, problems

@@ -20,12 +20,12 @@ import pynmea2
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
+from smoother.session.clock_steps import find_step_back
 from smoother.session.encoding import in_utf8
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
 from smoother.session.sentence_days import on_their_days
-from smoother.session.sentence_leaps import clock_set_by
 from smoother.session.time_unit import in_seconds, unit_by_utc
 from smoother.session.velned import Velocities
 from smoother.units import DAY, KMH, KNOT
@@ -45,6 +45,7 @@ _TALKERS = ("GN", "GP")  # preferred in this order where several constellations 
 _TALKER_CODES = 65536  # two letters
 _FIRST_YEAR = 80  # of GPS time, and of the century
 _TIME_QUANTUM = 1e-3  # s; UTC equal to a millisecond is one epoch
+_WHOLE = 0.1  # s; how near to whole seconds UTC is set back
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,17 +367,21 @@ def _days(sentences: _Sentences) -> Array:
 
 
 def _utc_ahead(sentences: _Sentences, timed: BoolArray, utc: Array, file: str) -> tuple[Array, list[Problem]]:
-    """By how much UTC (N,) s of the timed sentences is ahead (N,) s of how it began, and what to say of it.
+    """By how much UTC (N,) s of the timed sentences is ahead (N,) s of a clock that goes on, and what to say of it.
 
-    That UTC was set is said where fixes are put on one clock; here only how it is known, if stamps do not tell.
+    A receiver sets its UTC back by some seconds when it receives how many leap seconds there are.
     """
-    places = np.stack([sentences.column("lat_deg"), sentences.column("lon_deg")], axis=1)[timed]
-    ahead, by_motion = clock_set_by(utc, sentences.stream[timed], places, sentences.received[timed])
-    if not by_motion:
+    ahead, stream = np.zeros(utc.size), sentences.stream[timed]
+    names, sizes = np.unique(stream, return_counts=True)
+    main = np.flatnonzero(stream == names[np.argmax(sizes)])
+    places = [sentences.column(name)[timed][main] for name in ("lat_deg", "lon_deg")]
+    if (step := find_step_back(utc[main], places)) is None:
         return ahead, []
-    steps = f"its UTC steps by whole seconds in {counted(by_motion, 'place')} where the positions go on"
-    text = f"{file}: {steps}; fixes stay in the order of the file, as often as they come"
-    return ahead, [Problem("gps_utc_against_places", text, by_motion)]
+    burst = np.flatnonzero(np.diff(utc[: main[step.row] + 1]) != 0.0)[-1] + 1  # its first sentence of whatever kind
+    ahead[burst:] = -(round(step.by) if abs(step.by - round(step.by)) < _WHOLE else step.by)
+    text = f"its UTC was set back by {-ahead[-1]:.2f} s at {sentences.time_of_day[timed][burst] % DAY:.0f} s of the day"
+    text += ", while the positions go on; fixes stay in the order of the file"
+    return ahead, [Problem("gps_utc_against_places", f"{file}: {text}")]
 
 
 def _merge(

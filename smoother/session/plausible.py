@@ -1,4 +1,4 @@
-"""Whether inertial samples are in m/s^2 and rad/s, by the usual size of force and rate: of all, or of a stretch."""
+"""Whether inertial samples are in m/s^2 and rad/s, by the usual size of force and rate."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, median
-from smoother.disc import PIECE, pieces, release, thinned
+from smoother.disc import thinned
 from smoother.samples import Problem, RawImu
-from smoother.session.frozen import without_rows
 from smoother.units import DEG, STANDARD_GRAVITY
-from smoother.words import counted
 
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
@@ -18,21 +16,8 @@ STEADY_PARTS, STEADY_TIME = 8, 10.0  # of a recording, at most, and s of each at
 LEAST_STEADY, LEAST_STEADY_SHARE = 2.5, 0.5  # m/s^2 and of the usual force, that is always there: gravity is
 LEAST_MOTION = 0.5  # m/s^2; less is a dead sensor
 PLAUSIBLE_RATE = (0.0, 8.0)  # rad/s, median of 460 deg/s: degrees were written for radians
-WINDOW = 5.0  # s judged together; in no shorter time is a box thrown, or turned in the hand
-FEW_BETWEEN = 3  # windows between two that are off are of them: who writes deg/s stands now and then
 FEWEST_LEFT = 100  # samples
-SHORTEST_UNIT = 20.0  # s; a box is spun in the hand, or a kart round itself, for less
-LEAST_TURN = 0.1  # of the fastest usual rates, that rates in deg/s are once they are converted
-FASTEST = 90.0  # per cent of the windows
-FEWEST_WINDOWS, FEWEST_OF_WINDOW = 4, 20  # samples, to tell forces from rates
-ALWAYS = 10.0  # per cent of the windows may have less: a box is turned over, or put down, in a few
-GRAVITY_ALWAYS, GRAVITY_MOSTLY = 0.8, 1.3  # of gravity: what is always there, and mostly no more, is a force
-CALM_RATE = 0.5  # rad/s, that some windows stay below: karts stand, or drive straight on; no force does, even in g
 LARGEST = 1e6  # of what is written for a sample, in whatever unit: milli-g and counts of 16 bits are less
-# of gravity: less is not all of it; and what its size may be off by for bias, scale and clipped vibration
-HARDLY, LIKE_GRAVITY = 0.5, 0.15
-# times, that an axis is shaken more than another from sample to sample at the most; g and m/s^2 are 10 apart
-SAME_SCATTER = 4.0
 GRAVITY_IN_G = (0.7, 1.5)  # what stays of samples in g: gravity, and the mean force of bends all to one side
 MILLI = 1e-3  # of mg and mdeg/s, which tools of sensor makers write together
 
@@ -48,7 +33,6 @@ class _Sensor:
     scale: float
     usual: tuple[float, float]
     said: str
-    unit: float | None = None  # SI, of the samples where they are off for any length of time; None: no motion is so
     has_gravity: bool = False
 
     def sizes(self, values: Array) -> Array:
@@ -68,16 +52,6 @@ class _Sensor:
         low, high = self.usual
         return np.asarray((size < low) | (size > high))
 
-    def is_unit(self, sizes: Array, first: int, last: int) -> bool:
-        """Whether windows of sizes (K,), off from first to last, are in another unit; else something moves so."""
-        if self.unit is None:
-            return True
-        off = self.is_off(sizes)
-        here = slice(first, last + 1)
-        converted = median(sizes[here][off[here]]) * self.unit
-        usual = float(np.percentile(sizes[~off], FASTEST)) if not np.all(off) else 0.0
-        return (last + 1 - first) * WINDOW >= SHORTEST_UNIT and converted > LEAST_TURN * usual
-
     def reason(self, size: float) -> str:
         return self.said.format(size)
 
@@ -87,34 +61,8 @@ def _sensors(imu: RawImu) -> tuple[_Sensor, _Sensor]:
     rate = "typically {:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
     return (
         _Sensor(imu.accel, imu.accel_scale, PLAUSIBLE_FORCE, force, has_gravity=True),
-        _Sensor(imu.gyro, imu.gyro_scale, PLAUSIBLE_RATE, rate, DEG),
+        _Sensor(imu.gyro, imu.gyro_scale, PLAUSIBLE_RATE, rate),
     )
-
-
-def are_exchanged(accel: Array, gyro: Array, t: Array) -> bool:
-    """Whether what stays of the turn rates (N, 3) is gravity in m/s^2, at all times, and nothing of the accelerations.
-
-    t (N,) s, as written. Rates of a circle in deg/s may be as large, but not at rest, and beside them there is gravity.
-    """
-    forces, rates = _window_means(gyro, t), _window_means(accel, t)
-    if len(forces) < FEWEST_WINDOWS or len(rates) < FEWEST_WINDOWS:
-        return False
-    always = float(np.percentile(forces, ALWAYS)) / STANDARD_GRAVITY
-    mostly = median(forces) / STANDARD_GRAVITY
-    is_gravity = always > GRAVITY_ALWAYS and mostly < GRAVITY_MOSTLY
-    return is_gravity and float(np.percentile(rates, ALWAYS)) < CALM_RATE
-
-
-def _window_means(values: Array, t: Array) -> Array:
-    """Length (K,) of the mean of samples (N, 3) at t (N,) s over each WINDOW; of a long recording over more."""
-    step = max(1, len(values) // ENOUGH_SAMPLES)
-    some, times = thinned(values, step), thinned(t, step)
-    known = _are_measured(some) & np.isfinite(times)
-    some, times = some[known], times[known]
-    lasts = float(times[-1] - times[0]) if len(times) else 0.0
-    count = max(FEWEST_OF_WINDOW, round(len(some) * WINDOW / lasts)) if lasts > 0.0 else FEWEST_OF_WINDOW
-    whole = len(some) // count * count
-    return np.asarray(np.linalg.norm(np.mean(some[:whole].reshape(-1, count, 3), axis=1), axis=1))
 
 
 def _are_measured(some: Array) -> BoolArray:
@@ -149,7 +97,7 @@ def are_in_milli_g(accel: Array, t: Array) -> bool:
 def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
     """Turn accelerations (N, 3), which the caller gives away, into m/s^2 where gravity in g or mg stays of them.
 
-    Of one axis alone likewise, if there is no gravity in g without it. t (N,) s, as written. In m/s^2 forces as small
+    t (N,) s, as written. In m/s^2 forces as small
     are those without gravity, which change with every bend, and stay as they are. Says what it did; `file` is the name
     for that.
     """
@@ -163,7 +111,7 @@ def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
             size = median(np.linalg.norm(some, axis=1))
             text = f"typically {size:.2g} m/s^2, where gravity alone gives 9.8, as with {name} where m/s^2 belong"
             return [Problem("imu_accel_unit", f"{file}: {text}; taken so")]
-    return _axis_turned_to_metres(accel, some, lasts, file)
+    return []
 
 
 def _written(accel: Array, t: Array) -> tuple[Array, float]:
@@ -179,29 +127,6 @@ def _is_gravity(some: Array, lasts: float) -> bool:
     """Whether what stays of forces (M, 3) in g, evenly taken from `lasts` s, is gravity."""
     (low, high), size, steady = GRAVITY_IN_G, median(np.linalg.norm(some, axis=1)), _steady(some, lasts)
     return bool(size < PLAUSIBLE_FORCE[0] and low < steady < high and steady > LEAST_STEADY_SHARE * size)
-
-
-def _axis_turned_to_metres(accel: Array, some: Array, lasts: float, file: str) -> list[Problem]:
-    """Turn an axis of accelerations (N, 3) that is in g beside others in m/s^2, which hardly feel gravity, and say so.
-
-    some (M, 3): of them, evenly taken from `lasts` s. In g an axis feels gravity of about 1, and is shaken as much less
-    than the others. Where others feel most of gravity, the motion tells.
-    """
-    if not _steady(some, lasts) < HARDLY * STANDARD_GRAVITY:
-        return []
-    rows = np.arange(0, len(accel) - 1, max(1, len(accel) // ENOUGH_SAMPLES))
-    rows = rows[_are_measured(accel[rows]) & _are_measured(accel[rows + 1])]
-    scatter = np.median(np.abs(accel[rows + 1] - accel[rows]), axis=0)
-    for odd, name in enumerate(("ax", "ay", "az")):
-        in_metres = some * np.where(np.arange(3) == odd, STANDARD_GRAVITY, 1.0)
-        gravity = _steady(in_metres, lasts) / STANDARD_GRAVITY
-        is_in_step = scatter[odd] * STANDARD_GRAVITY < SAME_SCATTER * np.delete(scatter, odd).min()
-        if is_in_step and abs(gravity - 1.0) < LIKE_GRAVITY:
-            with np.errstate(over="ignore"):
-                accel[:, odd] *= STANDARD_GRAVITY
-            text = f"there is gravity only with {name} times 9.81, as where it is in g and others in m/s^2; taken so"
-            return [Problem("imu_axis_unit", f"{file}: {text}")]
-    return []
 
 
 def implausible_units(imu: RawImu) -> Iterator[str]:
@@ -234,45 +159,3 @@ def _steady(some: Array, lasts: float) -> float:
 def _parts(some: Array, lasts: float) -> list[Array]:
     """Some (N, 3) of the samples in a few parts: a box that turns over in one of them has gravity in all others."""
     return np.array_split(some, int(np.clip(lasts / STEADY_TIME, 1, STEADY_PARTS)))
-
-
-def without_other_units(imu: RawImu, file: str, problems: list[Problem]) -> RawImu:
-    """Return the samples without stretches in which they are in another unit, and say so in `problems`.
-
-    file : name for the sentences. A window on either side goes with them, as what is in another unit may begin there.
-    """
-    count = max(1, round(WINDOW / median(np.diff(imu.t[:ENOUGH_SAMPLES]))))
-    bad = np.zeros(imu.t.size, dtype=np.bool_)
-    said = []
-    for sensor in _sensors(imu):
-        sizes = _window_sizes(sensor, count)
-        for first, last in _runs(sensor.is_off(sizes)):
-            if not sensor.is_unit(sizes, first, last):
-                continue
-            rows = slice(max(0, (first - 1) * count), (last + 2) * count)
-            bad[rows] = True
-            lost, begin, end = imu.t[rows].size, imu.t[rows][0], imu.t[rows][-1]
-            reason = sensor.reason(median(sizes[first : last + 1]))
-            text = f"{file}: from {begin:.0f} to {end:.0f} s {reason} {counted(lost, 'sample')} left out"
-            said.append(Problem("imu_unit_changes", text, lost))
-    if not said or np.count_nonzero(~bad) < FEWEST_LEFT:
-        return imu
-    problems += said
-    return without_rows(imu, bad)
-
-
-def _window_sizes(sensor: _Sensor, count: int) -> Array:
-    """Median size (K,) of each `count` samples; what is left at the end, of fewer, is of the last window."""
-    whole, sizes = len(sensor.values) // count * count, []
-    for part in pieces(whole, max(1, PIECE // count) * count):
-        sizes.append(sensor.typical(sensor.values[part].reshape(-1, count, 3)))
-        release(sensor.values)
-    return np.concatenate(sizes) if sizes else np.empty(0)
-
-
-def _runs(off: BoolArray) -> Iterator[tuple[int, int]]:
-    """First and last window of each run of those that are off, with the few between two of them."""
-    index = np.flatnonzero(off)
-    if index.size:
-        ends = np.flatnonzero(np.diff(index) > FEW_BETWEEN + 1)
-        yield from zip(index[np.append(0, ends + 1)].tolist(), index[np.append(ends, -1)].tolist(), strict=True)

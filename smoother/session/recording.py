@@ -31,9 +31,7 @@ from smoother.session.days import longest_recording
 from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
 from smoother.session.inertial import FEWEST_IMU_SAMPLES
-from smoother.session.leap_seconds import with_learnt_leap_seconds
-from smoother.session.pace import with_even_pace
-from smoother.session.plausible import implausible_units, without_other_units
+from smoother.session.plausible import implausible_units
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.standing import dead_problems, stuck_problems, without_frozen
@@ -87,10 +85,9 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     _require_fixes(recording)
     problems = [*recording.problems, *_missing_heights(recording)]
     dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
-    recording = replace(recording, gnss=with_learnt_leap_seconds(dated, recording.gnss_file, problems))
+    recording = replace(recording, gnss=dated)
     imu, beside = _usable_imu(recording, problems), Beside(_evened_mag(recording.mag), recording.wheel_speed)
-    gnss, imu, beside = with_even_pace(recording.gnss, imu, beside, recording.gnss_file, problems)
-    gnss = _with_true_times(replace(recording, gnss=gnss), problems)
+    gnss = _with_true_times(recording, problems)
     gnss, imu, beside = longest_recording(gnss, imu, beside, recording.gnss_file, problems)
     imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
@@ -102,10 +99,9 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     if imu is not None:
         imu = _without_filter_delay(imu, recording, config.imu_delay, problems)
         config = replace(config, imu_delay=config.imu_delay if recording.imu_delay is None else recording.imu_delay)
-        imu = without_other_units(imu, recording.imu_file, problems)
         imu = without_turned(imu, gnss, recording.imu_file, problems)
         imu = without_turned_about(imu, gnss, recording.imu_file, problems)
-        imu = _if_enough(imu, recording.imu_file, " in which units and mounting are those of most", problems)
+        imu = _if_enough(imu, recording.imu_file, " in which the mounting is that of most", problems)
     if imu is not None:
         problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)

@@ -93,7 +93,7 @@ def put_in_time_order(rows: RowFilter, t: Array, *values: npt.NDArray[Any]) -> t
         return t[index], index
     time, wraps = unwrap(t[index])
     if wraps:
-        rows.say("clock_wrapped", f"the 32-bit clock wrapped {wraps} times; unwrapped", wraps)
+        rows.say("clock_wrapped", f"its clock wrapped {wraps} times (32 bits, or midnight); unwrapped", wraps)
     time = _over_step_back(rows, time, [value[index] for value in values])
     index, time = _resolve_disorder(rows, index, time, values)
     keep = longest_increasing(time)
@@ -232,11 +232,11 @@ def _are_read_together(stamps: Array, size: IntArray, step: float) -> bool:
 
 
 def unwrap(t: Array) -> tuple[Array, int]:
-    """Undo wraps of a 32-bit microsecond or millisecond counter in t (N,) s; return the times and how many."""
+    """Undo wraps of 32-bit microseconds or milliseconds, or of times of day, in t (N,) s; return times and number."""
     total, wraps = t.copy(), 0
     if np.all(t[1:] >= t[:-1]):
         return total, wraps
-    for period in (MICROSECOND_WRAP, MILLISECOND_WRAP):
+    for period in (MICROSECOND_WRAP, MILLISECOND_WRAP, DAY):
         step = np.diff(total, prepend=total[:1])
         wrapped = (step < 0.0) & (step + period >= 0.0) & (step + period < WRAP_TOLERANCE)
         wrapped &= persists(total, wrapped)

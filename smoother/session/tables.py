@@ -125,7 +125,7 @@ class Table:
     there more than once; the first of each that holds values is in `columns`, and `passed_over` has the names of those
     that have an empty one before it. `headers` counts the lines between the rows that are the header once more, as of
     files that were joined; they are no rows. `changed` : numbers of the lines that are a header of other columns, or of
-    another order; what is below is read by it. `sorted_as_text` : how many rows were moved, see text_order.py.
+    another order; what is below is read by it.
     """
 
     file: str
@@ -138,7 +138,6 @@ class Table:
     headers: int = 0
     passed_over: tuple[str, ...] = ()
     changed: tuple[int, ...] = ()
-    sorted_as_text: int = 0
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns

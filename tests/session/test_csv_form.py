@@ -279,18 +279,6 @@ def test_speeds_that_contradict_the_positions_as_no_unit_does_are_left_out(tmp_p
     assert "times those of its positions; not used. What is their unit?" in problem.text
 
 
-def test_accelerations_and_rates_that_are_exchanged_are_exchanged_back_and_said(tmp_path: Path) -> None:
-    rows = imu_rows(6000)
-    imu, problems = read_imu(save(tmp_path, imu_table(rows), "imu.csv"))
-    assert problems == []
-    header = "t_s,gx,gy,gz,ax,ay,az"
-    exchanged, problems = read_imu(save(tmp_path, "\n".join([header, *rows]) + "\n", "imu.csv"))
-    np.testing.assert_array_equal(exchanged.accel, imu.accel)
-    np.testing.assert_array_equal(exchanged.gyro, imu.gyro)
-    text = "imu.csv: gravity is in gx, gy, gz, as if accelerations and turn rates were exchanged; taken as such"
-    assert [(problem.code, problem.text) for problem in problems] == [("imu_exchanged", text)]
-
-
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_speeds_that_nearly_fit_the_positions_are_left_as_they_are(tmp_path: Path, factor: float) -> None:
     fixes, problems, speed = straight(tmp_path, factor)

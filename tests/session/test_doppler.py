@@ -403,36 +403,3 @@ def test_a_coarse_or_steady_velocity_is_repeated_now_and_then_and_stays(tmp_path
         fixes, said = lap(tmp_path, **coarse)
         assert "gps_velocity_repeated" not in said
         assert np.isfinite(fixes.velocity_n[:, 0]).all()
-
-
-@pytest.mark.parametrize("unit", [3.6, 1.94384, 2.23694])
-@pytest.mark.parametrize(("begin", "end"), [(0, 240), (200, 330), (350, 600)])
-def test_speeds_in_another_unit_for_a_part_of_the_file_are_converted(
-    tmp_path: Path, unit: float, begin: int, end: int
-) -> None:
-    good = sound(tmp_path)
-    factor = np.ones(600)
-    factor[begin:end] = unit
-    t = np.arange(0.0, 120.0, 0.2)
-    fixes, said = lap(tmp_path, speed_mps=factor * (SPEED + 4.0 * np.sin(t / 4.0)))
-    assert "times those of its positions, as if in" in said["gps_speed_unit"]
-    known = np.isfinite(fixes.velocity_n[:, 0])
-    assert np.mean(known) > 0.75
-    np.testing.assert_allclose(fixes.velocity_n[known, :2], good.velocity_n[known, :2], atol=0.01)
-
-
-@pytest.mark.parametrize("part", [slice(100, 300), slice(0, 60), slice(540, 600)])
-def test_a_course_that_points_backwards_for_a_while_is_not_used_there(tmp_path: Path, part: slice) -> None:
-    course = sound(tmp_path).course_deg.copy()
-    course[part] = (course[part] + 180.0) % 360.0
-    fixes, said = lap(tmp_path, course_deg=course)
-    unknown = np.isnan(fixes.velocity_n[:, 0])
-    assert unknown[part][:-6].all() and not np.delete(unknown, np.arange(600)[part]).any()
-    assert "against the way of the positions" in said["gps_course_backwards"]
-
-
-@pytest.mark.parametrize("late", [0.0, 0.6, 1.0])
-def test_a_late_course_in_hairpins_is_none_that_points_backwards(tmp_path: Path, late: float) -> None:
-    t = np.arange(0.0, 120.0, 0.2) - late
-    _, said = lap(tmp_path, course_deg=np.degrees(t / 5.0 + 0.3 * np.sin(t)) % 360.0)
-    assert "gps_course_backwards" not in said
