@@ -12,7 +12,6 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.plausible import are_in_milli_g, turned_to_metres, turned_to_radians
 from smoother.session.tables import NOTHING, Table, head_lines, names_of, read_table
 from smoother.session.time_unit import UNITS, in_seconds, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
@@ -53,10 +52,8 @@ def read_imu_and_unit(path: Path, *, is_slow: bool = False) -> tuple[RawImu, lis
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
-    is_milli = are_in_milli_g(accel, t)
-    problems += [*turned_to_radians(gyro, path.name, is_milli=is_milli), *said, *turned_to_metres(accel, t, path.name)]
     imu, of_rows = screen_imu(path.name, t, accel, gyro)
-    return imu, [*problems, *of_rows], unit
+    return imu, [*problems, *said, *of_rows], unit
 
 
 def read_fixes(path: Path, imu_unit: str | None = None, *, is_alone: bool = False) -> tuple[GnssFixes, list[Problem]]:

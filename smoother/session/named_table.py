@@ -29,7 +29,6 @@ from smoother.session.foreign import (
     speed_unit_note,
 )
 from smoother.session.moments import Moments, put_together, read_days, read_moments, zone_note
-from smoother.session.plausible import are_in_milli_g, turned_to_metres, turned_to_radians
 from smoother.session.racechrono import measured_by_bearing, sampled_rows
 from smoother.session.records import Records, head_of, read_records
 from smoother.session.table_layout import COMMENT, MOST_LINES, Layout, layout_of
@@ -231,16 +230,7 @@ def _imu(table: _Table, t: Array) -> tuple[RawImu | None, list[Problem]]:
     gyro = np.stack([table.value(name) for name in RATES], axis=-1)
     force, rate = table.unit("ax"), table.unit("gx")
     rate = rate or (USUAL_RATES.get(force, "") if _is_gforce(table.layout) else "")
-    problems: list[Problem] = []
-    is_milli = force not in ACCELERATION_UNITS and are_in_milli_g(accel, t)
-    if force in ACCELERATION_UNITS:
-        accel *= ACCELERATION_UNITS[force]
-    else:
-        problems += turned_to_metres(accel, t, table.file)
-    if rate in RATE_UNITS:
-        gyro *= RATE_UNITS[rate]
-    else:
-        problems += turned_to_radians(gyro, table.file, is_milli=is_milli)
+    accel *= ACCELERATION_UNITS.get(force, 1.0)  # where the table does not say, the checks of all samples tell
+    gyro *= RATE_UNITS.get(rate, 1.0)
     rows = sampled_rows(t, [*accel.T, *gyro.T])
-    imu, said = imu_from(table.file, t[rows], accel[rows], gyro[rows])
-    return imu, [*problems, *said]
+    return imu_from(table.file, t[rows], accel[rows], gyro[rows])

@@ -16,7 +16,7 @@ from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, median
 from smoother.disc import release
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu
-from smoother.session.frozen import without_rows
+from smoother.session.checks.table import only
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -80,7 +80,7 @@ def _without(
             "left out. Smooth that part for itself, if it counts"
         )
         problems.append(Problem("imu_turned", text, lost))
-    return without_rows(imu, bad) if bad.any() else imu
+    return only(imu, ~bad) if bad.any() else imu
 
 
 def _starts(t: Array) -> IntArray:

@@ -5,8 +5,10 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu
-from smoother.session.frozen import stands_at_level, without_frozen_sensor
-from smoother.session.inertial import longest_constant
+from smoother.session.checks.imu import IMU_CHECKS, is_level
+from smoother.session.checks.spans import constant_runs
+
+from .checked import checked, of_code
 
 RATE, LASTS = 100.0, 60.0  # Hz, s
 T = np.arange(round(RATE * LASTS)) / RATE
@@ -38,8 +40,20 @@ def fixes(speed: float = 12.0) -> GnssFixes:
 
 
 def judged(force: Array, rate: Array, speed: float = 12.0) -> tuple[RawImu, list[Problem]]:
-    problems: list[Problem] = []
-    return without_frozen_sensor(RawImu(T, force, rate), fixes(speed), "imu.csv", problems), problems
+    return left(RawImu(T, force, rate), speed)
+
+
+def left(imu: RawImu, speed: float = 12.0) -> tuple[RawImu, list[Problem]]:
+    recording, problems = checked(of_code(IMU_CHECKS, "imu_sensor_frozen"), fixes(speed), imu)
+    return recording.samples, problems
+
+
+def longest_at_level(rate: Array) -> bool:
+    """Whether the longest run of the rates about the vertical is at a level of the sensor."""
+    runs = constant_runs(T, rate[:, 2:])
+    longest = max(runs, key=lambda run: run[1] - run[0])
+    assert longest[1] - longest[0] > 100
+    return is_level(rate[:, 2:], runs, longest)
 
 
 def frozen(values: Array, begin: float, end: float, axes: slice = slice(0, 3)) -> Array:
@@ -69,13 +83,7 @@ def test_stretches_are_summed() -> None:
     for begin in (10.0, 25.0, 40.0):
         force = frozen(force, begin, begin + 2.01)
     _, problems = judged(force, rate)
-    assert "stands still for 6 s of the drive, in 3 stretches, the first from 10.0 s on" in problems[0].text
-
-
-def test_one_axis_that_stands_still_for_seconds_is_left_out() -> None:
-    force, rate = samples()
-    imu, problems = judged(frozen(force, 20.0, 26.0, slice(0, 1)), rate)
-    assert imu.t.size == T.size - 599 and "x of the accelerometer stands still" in problems[0].text
+    assert "stands still for 6 s in 3 parts, the first at 10.0 s of the drive" in problems[0].text
 
 
 def coarse(values: Array, step: float) -> Array:
@@ -147,8 +155,7 @@ def dead_band(values: Array, band: float) -> Array:
 def test_a_gyroscope_that_says_the_same_on_every_straight_does_not_stand_still(rate: Array, why: str) -> None:
     imu, problems = judged(F, rate)
     assert problems == [] and imu.t.size == T.size, why
-    first, last = longest_constant(T, rate, 2)
-    assert last - first > 100 and stands_at_level(T, rate[:, 2:], first, last)
+    assert longest_at_level(rate)
 
 
 @pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
@@ -168,7 +175,7 @@ def test_a_gyroscope_with_a_dead_band_may_stand_still_too() -> None:
     rate[stop : stop + 900] = rate[stop]
     imu, problems = judged(F, rate)
     assert [problem.code for problem in problems] == ["imu_sensor_frozen"] and imu.t.size == T.size - 899
-    assert not stands_at_level(T, rate[:, 2:], *longest_constant(T, rate, 2))
+    assert not longest_at_level(rate)
 
 
 def test_one_long_stretch_at_a_value_that_is_met_for_moments_elsewhere_counts() -> None:
@@ -183,13 +190,12 @@ def test_a_stretch_ends_at_a_hole_in_the_samples() -> None:
     rate = W.copy()
     rate[1990:2010] = rate[1990]
     t = np.where(T < 20.0, T, T + 5.0)
-    problems: list[Problem] = []
-    assert without_frozen_sensor(RawImu(t, F, rate), fixes(), "imu.csv", problems).t.size == T.size
-    assert problems == []
+    imu, problems = left(RawImu(t, F, rate))
+    assert imu.t.size == T.size and problems == []
 
 
 def test_temperatures_of_samples_that_stay_are_kept() -> None:
     imu = RawImu(T, frozen(F, 20.0, 23.0), W, temperature=T)
-    left = without_frozen_sensor(imu, fixes(), "imu.csv", [])
-    assert left.t.size == T.size - 299 and left.temperature is not None
-    np.testing.assert_array_equal(left.temperature, left.t)
+    kept, _ = left(imu)
+    assert kept.t.size == T.size - 299 and kept.temperature is not None
+    np.testing.assert_array_equal(kept.temperature, kept.t)

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from smoother.session.inertial import screen_imu
+from smoother.samples import GnssFixes, RawImu
+from smoother.session.checks.imu import IMU_CHECKS
+
+from .checked import checked, of_code
+
+FIXES = GnssFixes(np.arange(2.0), *(np.array([45.0, 45.1]) for _ in range(3)), np.zeros((2, 3)))
+SILENT = of_code(IMU_CHECKS, "imu_silent")
 
 
 @pytest.mark.parametrize(("silent", "are_dropped"), [(0, False), (7, True), (180, True), (600, False)])
@@ -14,7 +20,8 @@ def test_samples_of_nothing_but_zeros_are_left_out_where_they_are_few(silent: in
     accel, gyro = rng.normal([0.0, 0.0, 9.8], 1.0, (1000, 3)), rng.standard_normal((1000, 3))
     rows = rng.choice(1000, silent, replace=False)
     accel[rows], gyro[rows] = 0.0, 0.0
-    imu, problems = screen_imu("imu.csv", t, accel, gyro)
+    recording, problems = checked(SILENT, FIXES, RawImu(t, accel, gyro))
+    imu = recording.samples
     said = {problem.code: problem.count for problem in problems}
     assert said == ({"imu_silent": silent} if are_dropped else {})
     np.testing.assert_array_equal(imu.t, np.delete(t, rows) if are_dropped else t)
@@ -23,5 +30,16 @@ def test_samples_of_nothing_but_zeros_are_left_out_where_they_are_few(silent: in
 def test_one_axis_that_reads_zero_is_a_reading() -> None:
     t = np.arange(1000) / 200.0
     accel, gyro = np.tile([0.0, 0.0, 9.8], (1000, 1)), np.zeros((1000, 3))
-    imu, problems = screen_imu("imu.csv", t, accel, gyro)
+    recording, problems = checked(SILENT, FIXES, RawImu(t, accel, gyro))
+    imu = recording.samples
     assert imu.t.size == 1000 and not problems
+
+
+def test_what_no_sensor_reads_is_left_out_whatever_the_counts_are_worth() -> None:
+    t = np.arange(1000) / 200.0
+    accel, gyro = np.tile([0.0, 0.0, 9.8], (1000, 1)), np.zeros((1000, 3))
+    accel[50], gyro[60] = 9e9, -1000.0
+    imu = RawImu(t, 100.0 * accel, 100.0 * gyro, 0.01, 0.01)
+    recording, (problem,) = checked(of_code(IMU_CHECKS, "imu_absurd"), FIXES, imu)
+    assert problem.count == 2 and problem.text.endswith("; dropped")
+    np.testing.assert_array_equal(recording.samples.t, np.delete(t, [50, 60]))

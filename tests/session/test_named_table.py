@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from smoother.errors import SessionError
+from smoother.session.checks.imu import USABLE
 from smoother.session.foreign import ForeignReading
 from smoother.session.load import load_raw
 from smoother.session.named_table import read_named_table
 from smoother.units import DEG, STANDARD_GRAVITY
 
+from .checked import checked
 from .readers import assert_outlives_damage, assert_refused
 
 START = 1_775_907_141.0  # 2026-04-11T11:32:21Z
@@ -287,8 +289,9 @@ def test_six_axes_in_the_same_rows_are_a_motion_sensor(tmp_path: Path, names: st
     reading = read(tmp_path, "\n".join([f"millis,lat,lng,Speed (km/h),course,{names}", *rows, ""]))
     assert reading.imu is not None and len(reading.imu.t) == 5 * COUNT and len(reading.gnss) == COUNT
     np.testing.assert_allclose(reading.imu.t, 0.02 * np.arange(5 * COUNT), atol=1e-6)
-    np.testing.assert_allclose(reading.imu.accel, STANDARD_GRAVITY * accel, atol=1e-3)
-    np.testing.assert_allclose(reading.imu.gyro, DEG * gyro, atol=1e-5)
+    imu = checked(USABLE, reading.gnss, reading.imu)[0].samples
+    np.testing.assert_allclose(imu.accel * imu.accel_scale, STANDARD_GRAVITY * accel, atol=1e-3)
+    np.testing.assert_allclose(imu.gyro * imu.gyro_scale, DEG * gyro, atol=1e-5)
     np.testing.assert_allclose(reading.gnss.t, 0.1 * np.arange(COUNT), atol=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Single samples that no motion makes: replaced and counted; what a kart does to a sensor is left as it is."""
+"""Single samples that no motion makes: left out and counted; what a kart does to a sensor is left as it is."""
 
 from dataclasses import replace
 
@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.samples import Problem, RawImu
+from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.checks.imu import IMU_CHECKS
+from smoother.session.checks.spikes import MOST_SPIKES
 from smoother.session.load import load_raw
-from smoother.session.spikes import MOST_SPIKES, without_spikes
+
+from .checked import checked, of_code
 
 RATE = 200.0
+FIXES = GnssFixes(np.arange(2.0), *(np.array([45.0, 45.1]) for _ in range(3)), np.zeros((2, 3)))
+
+
+def without_spikes(imu: RawImu) -> tuple[RawImu, list[Problem]]:
+    recording, problems = checked(of_code(IMU_CHECKS, "imu_spikes"), FIXES, imu)
+    return recording.samples, problems
 
 
 def driven(vibration: float = 3.0, count: int = 20_000) -> RawImu:
@@ -37,26 +46,23 @@ def with_values(imu: RawImu, sensor: str, rows: Array, axis: int, value: object)
     ],
 )
 @pytest.mark.parametrize("burst", [1, 2, 3])
-def test_values_that_stick_out_alone_are_bridged_and_counted(
+def test_values_that_stick_out_alone_are_left_out_and_counted(
     sensor: str, value: float, vibration: float, burst: int
 ) -> None:
     clean = driven(vibration)
     rows = (np.arange(250, 20_000, 500)[:, None] + np.arange(burst)).ravel()
-    problems: list[Problem] = []
-    imu = without_spikes(with_values(clean, sensor, rows, 1, value), "imu.csv", problems)
+    imu, problems = without_spikes(with_values(clean, sensor, rows, 1, value))
     assert [(problem.code, problem.count) for problem in problems] == [("imu_spikes", rows.size)]
-    have, want = getattr(imu, sensor), getattr(clean, sensor)
     others = np.setdiff1d(np.arange(clean.t.size), rows)
-    np.testing.assert_array_equal(have[others], want[others])
-    assert np.max(np.abs(have[rows])) <= np.max(np.abs(want))
+    np.testing.assert_array_equal(imu.t, clean.t[others])
+    np.testing.assert_array_equal(getattr(imu, sensor), getattr(clean, sensor)[others])
 
 
 def test_counts_of_a_sensor_are_judged_in_si() -> None:
     clean = driven()
     counts = RawImu(clean.t, np.round(clean.accel * 200), np.round(clean.gyro * 1000), 1 / 200, 1 / 1000)
-    problems: list[Problem] = []
-    assert without_spikes(counts, "a.klg", problems) is counts
-    without_spikes(with_values(counts, "accel", np.array([700]), 2, 32767.0), "a.klg", problems)
+    assert without_spikes(counts)[0] is counts
+    _, problems = without_spikes(with_values(counts, "accel", np.array([700]), 2, 32767.0))
     assert [problem.count for problem in problems] == [1]
 
 
@@ -65,17 +71,15 @@ def test_of_a_sensor_that_is_hardly_shaken_less_sticks_out(sensor: str, value: f
     """A car: sixty such samples in a quarter of an hour put the delays of the GPS off by ten of their sigmas."""
     clean, rows = driven(0.2), np.arange(250, 20_000, 500)
     clean = replace(clean, gyro=0.1 * clean.gyro)
-    problems: list[Problem] = []
-    imu = without_spikes(with_values(clean, sensor, rows, 1, value), "imu.csv", problems)
+    imu, problems = without_spikes(with_values(clean, sensor, rows, 1, value))
     assert [problem.count for problem in problems] == [rows.size]
-    np.testing.assert_allclose(getattr(imu, sensor), getattr(clean, sensor), atol=1.5)
+    np.testing.assert_array_equal(imu.t, np.delete(clean.t, rows))
 
 
 def test_a_knock_may_be_a_single_sample_of_a_slow_sensor() -> None:
     calm = driven(0.2, 3000)
     slow = with_values(replace(calm, t=8.0 * calm.t), "accel", np.array([700, 1500]), 2, 14.0)
-    problems: list[Problem] = []
-    assert without_spikes(slow, "imu.csv", problems) is slow
+    assert without_spikes(slow)[0] is slow
 
 
 def hit() -> RawImu:
@@ -107,8 +111,9 @@ def many() -> RawImu:
 @pytest.mark.parametrize("make", [driven, hit, clipped, shaken_now_and_then, many])
 def test_what_a_kart_does_to_a_sensor_stays_as_it_is(make: object) -> None:
     assert MOST_SPIKES < 0.1
-    imu, problems = make(), []  # type: ignore[operator, var-annotated]
-    assert without_spikes(imu, "imu.csv", problems) is imu and not problems
+    imu = make()  # type: ignore[operator]
+    kept, problems = without_spikes(imu)
+    assert kept is imu and not problems
 
 
 def test_no_real_recording_has_any(data_directory: object) -> None:

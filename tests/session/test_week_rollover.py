@@ -8,11 +8,11 @@ import pytest
 from smoother.fit.magnetic_model import session_date
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, Problem
-from smoother.session.week_rollover import with_present_dates
+from smoother.session.checks.times import DATES
 
+from .checked import checked
 from .folders import Folder, codes, gps_csv, imu_csv, nmea_epochs
 
-NOW = dt.datetime(2026, 11, 25, tzinfo=dt.UTC).timestamp()
 WEEKS = dt.timedelta(weeks=1024)
 
 
@@ -24,10 +24,9 @@ def read(unix_s: np.ndarray, stated: str | None = None) -> tuple[np.ndarray, lis
     n = len(unix_s)
     place = np.full(n, 45.0)
     fixes = GnssFixes(np.arange(n) * 0.2, place, place, place, np.full((n, 3), np.nan), unix_s=unix_s)
-    problems: list[Problem] = []
-    made = with_present_dates(fixes, "gps.csv", NOW, stated, problems)
-    assert made.unix_s is not None
-    return made.unix_s, problems
+    recording, problems = checked(DATES, fixes, date=stated)
+    assert recording.gnss.unix_s is not None
+    return recording.gnss.unix_s, problems
 
 
 def dates(*written: float) -> np.ndarray:
