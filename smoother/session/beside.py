@@ -2,14 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.errors import SessionError
 from smoother.samples import Problem, RawMag, WheelSpeed
+from smoother.session.checks.table import Check, Finding, OneStream, dropped, run
 from smoother.session.csv_form import problems_of_table, require_clock
-from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.rows import in_time_order
 from smoother.session.tables import read_table
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, unit_by_rate
 
@@ -39,14 +42,8 @@ def read_mag(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[RawMag, list[
 
     Raises SessionError if its clock has parts that are none of the session's.
     """
-    t, field, said = _read(path, FIELD_COLUMNS, "mag", clock)
-    rows = RowFilter(path.name, "mag", np.ones(t.size, dtype=np.bool_))
-    rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
-    rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")
-    with np.errstate(invalid="ignore"):
-        rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
-    time, index = put_in_time_order(rows, t, field)
-    return RawMag(time, field[index]), [*said, *rows.problems]
+    rows, said = _read(path, FIELD_COLUMNS, "mag", clock, MAG_CHECKS)
+    return RawMag(rows.t, rows.values), said
 
 
 def read_wheel_speed(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[WheelSpeed, list[Problem]]:
@@ -54,24 +51,59 @@ def read_wheel_speed(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[Wheel
 
     A wheel that turns backwards is not told from a broken value. Raises SessionError as :func:`read_mag`.
     """
-    t, columns, said = _read(path, ("speed_mps",), "wheel_speed", clock)
-    speed = columns[:, 0]
-    rows = RowFilter(path.name, "wheel_speed", np.ones(t.size, dtype=np.bool_))
-    rows.drop(~(np.isfinite(t) & np.isfinite(speed)), "invalid", "with an empty or unreadable value")
-    with np.errstate(invalid="ignore"):
-        rows.drop((speed < 0.0) | (speed > ABSURD_SPEED), "absurd", "with a speed no wheel has")
-    time, index = put_in_time_order(rows, t, speed)
-    return WheelSpeed(time, speed[index]), [*said, *rows.problems]
+    rows, said = _read(path, ("speed_mps",), "wheel_speed", clock, WHEEL_CHECKS)
+    return WheelSpeed(rows.t, rows.values[:, 0]), said
 
 
-def _read(path: Path, names: Sequence[str], prefix: str, clock: SessionClock) -> tuple[Array, Array, list[Problem]]:
-    """Times (N,) s on the session's clock and columns (N, n) of a table as they stand, and what is to be said of it."""
+def _read(
+    path: Path, names: Sequence[str], prefix: str, clock: SessionClock, checks: Sequence[Check[OneStream]]
+) -> tuple["_Rows", list[Problem]]:
+    """Rows of a table that pass its checks, in order of time on the session's clock, and what is to be said of it."""
     table = read_table(path, ("t_s", *names))
     values, t = table.stack(*names), table.column("t_s")
     require_clock(path, t)
     unit = _unless_seconds(t, clock.imu_unit if clock.has_imu else unit_by_rate(t), clock.fixes_t)
     t, said = in_seconds(t, unit, prefix, path.name)
-    return t, values, [*problems_of_table(table, prefix), *said]
+    checked, of_rows = run(checks, OneStream(prefix, path.name, _Rows(t, values)))
+    rows = checked.rows
+    ordered = in_time_order(rows.t, rows.values, file=path.name, prefix=prefix)
+    if any(problem.code.endswith("_clock_restart") for problem in ordered.problems):
+        raise SessionError(f"{path.name}: its clock started again, nobody knows beside which samples; split it there")
+    problems = [*problems_of_table(table, prefix), *said, *of_rows, *ordered.problems]
+    return _Rows(ordered.t, rows.values[ordered.index]), problems
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of a table: t (N,) s, values (N, M)."""
+
+    t: Array
+    values: Array
+
+
+def _unreadable(s: OneStream) -> Finding | None:
+    return dropped(
+        ~(np.isfinite(s.rows.t) & np.isfinite(s.rows.values).all(axis=1)), "with an empty or unreadable value"
+    )
+
+
+def _of_zero(s: OneStream) -> Finding | None:
+    return dropped(np.all(s.rows.values == 0.0, axis=1), "of exactly zero on all axes")
+
+
+def _absurd(low: float, high: float, reason: str, s: OneStream) -> Finding | None:
+    return dropped(np.any((s.rows.values < low) | (s.rows.values > high), axis=1), reason)
+
+
+MAG_CHECKS = (
+    Check("mag_invalid", "mag", (), _unreadable),
+    Check("mag_zero", "mag", (), _of_zero),
+    Check("mag_absurd", "mag", (), partial(_absurd, -ABSURD_FIELD, ABSURD_FIELD, "with a field no sensor can read")),
+)
+WHEEL_CHECKS = (
+    Check("wheel_speed_invalid", "wheel_speed", (), _unreadable),
+    Check("wheel_speed_absurd", "wheel_speed", (), partial(_absurd, 0.0, ABSURD_SPEED, "with a speed no wheel has")),
+)
 
 
 def _unless_seconds(t: Array, unit: str | None, fixes_t: Array | None) -> str | None:

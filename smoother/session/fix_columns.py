@@ -1,6 +1,6 @@
 """The columns every reader of fixes fills, before they are screened, and their places in rough metres."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -41,6 +41,10 @@ class FixColumns:
     def take(self, index: IntArray) -> "FixColumns":
         """Return the rows at `index`."""
         return FixColumns(**{column.name: getattr(self, column.name)[index] for column in fields(self)})
+
+    def at(self, t: Array) -> "FixColumns":
+        """Return the same rows at other times t (N,) s."""
+        return replace(self, t=t)
 
 
 def sent_speed(c: FixColumns) -> Array:

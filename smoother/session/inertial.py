@@ -5,7 +5,9 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.samples import SENSOR_AXES, Problem, RawImu
-from smoother.session.rows import RowFilter, put_in_time_order, spread_coarse_times, taken
+from smoother.session.coarse import spread_coarse_times
+from smoother.session.rows import in_time_order, taken
+from smoother.words import counted
 
 FEWEST_IMU_SAMPLES = 100  # fewer tell nothing
 
@@ -15,17 +17,21 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
 
     t (N,) s; accel (N, 3) m/s^2 and gyro (N, 3) rad/s, axes s, which the caller gives away.
     """
-    rows = RowFilter(file, "imu", np.ones(t.size, dtype=np.bool_))
     unreadable = np.empty(t.size, dtype=np.bool_)
     for part in pieces(t.size):
         unreadable[part] = ~np.isfinite(t[part])
         for axis in range(SENSOR_AXES):
             unreadable[part] |= ~np.isfinite(accel[part, axis]) | ~np.isfinite(gyro[part, axis])
         release(t, accel, gyro)
-    rows.drop(unreadable, "invalid", "with an empty or unreadable value")
-    t = spread_coarse_times(rows, t, accel, gyro)
-    time, index = put_in_time_order(rows, t, accel, gyro)
-    return RawImu(time, taken(accel, index), taken(gyro, index), stamp_sigma=rows.stamp_sigma), rows.problems
+    problems = []
+    if count := int(np.count_nonzero(unreadable)):
+        t, accel, gyro = t[~unreadable], accel[~unreadable], gyro[~unreadable]
+        text = f"{file}: {counted(count, 'row')} with an empty or unreadable value; dropped"
+        problems.append(Problem("imu_invalid", text, count))
+    spread = spread_coarse_times(t, accel, gyro, file=file, prefix="imu")
+    ordered = in_time_order(spread.t, accel, gyro, file=file, prefix="imu")
+    imu = RawImu(ordered.t, taken(accel, ordered.index), taken(gyro, ordered.index), stamp_sigma=spread.sigma)
+    return imu, [*problems, *spread.problems, *ordered.problems]
 
 
 def dead_axes(imu: RawImu) -> list[tuple[str, str]]:

@@ -26,8 +26,9 @@ from smoother.session.log_format import (
 from smoother.session.log_problems import describe
 from smoother.session.log_transfer import find_blocks_of_any
 from smoother.session.nmea import fixes_from_sentences
-from smoother.session.rows import RowFilter, is_all, put_in_time_order
+from smoother.session.rows import in_time_order, is_all
 from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.words import counted
 
 HEAD_BYTES = 262_144  # of a file, to know whose it is: more than the 5 s between SETUP records
 CLUSTER_BLOCKS = 128  # of the largest cluster that FAT32 has, 64 KiB
@@ -199,9 +200,9 @@ def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Pro
     if records.imu_t.size == 0:
         return None, []
     setup = records.setup or Setup()
-    rows = RowFilter(file, "imu", np.ones(records.imu_t.size, dtype=np.bool_))
     shift_us = setup.gyro_delay_us - setup.imu_period_us // 2
-    t, index = put_in_time_order(rows, seconds(records.imu_t, shift_us), records.imu)
+    ordered = in_time_order(seconds(records.imu_t, shift_us), records.imu, file=file, prefix="imu")
+    t, index = ordered.t, ordered.index
     counts = records.imu if is_all(index, len(records.imu)) else records.imu[index]
     accel_full_scale, gyro_full_scale = setup.accel_range_g * STANDARD_GRAVITY, setup.gyro_range_dps * DEG
     imu = RawImu(
@@ -214,7 +215,7 @@ def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Pro
         gyro_full_scale,
         _temperature(records, t),
     )
-    return imu, rows.problems
+    return imu, ordered.problems
 
 
 def _as_numbers(counts: npt.NDArray[np.int16]) -> Array:
@@ -243,12 +244,14 @@ def _temperature(records: LogRecords, t: Array) -> Array | None:
 
 def mag_samples(records: LogRecords, file: str) -> tuple[RawMag | None, list[Problem]]:
     """Return the magnetic field in uT and axes s, without readings that overflowed; None without any."""
-    rows = RowFilter(file, "mag", np.ones(records.mag_t.size, dtype=np.bool_))
-    rows.drop((records.mag_flags & MAG_OVERFLOW) != 0, "overflow", "of the magnetometer beyond its range")
-    t, index = put_in_time_order(rows, seconds(records.mag_t), records.mag)
-    if index.size == 0:
-        return None, rows.problems
-    return RawMag(t, magnetic_field(records.mag[index], records.setup or Setup())), rows.problems
+    whole = np.flatnonzero((records.mag_flags & MAG_OVERFLOW) == 0)
+    field, lost = records.mag[whole], records.mag_t.size - whole.size
+    ordered = in_time_order(seconds(records.mag_t)[whole], field, file=file, prefix="mag")
+    text = f"{file}: {counted(lost, 'row')} of the magnetometer beyond its range; dropped"
+    problems = [*([Problem("mag_overflow", text, lost)] if lost else []), *ordered.problems]
+    if ordered.index.size == 0:
+        return None, problems
+    return RawMag(ordered.t, magnetic_field(field[ordered.index], records.setup or Setup())), problems
 
 
 def magnetic_field(counts: np.ndarray, setup: Setup) -> Array:

@@ -25,7 +25,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.nmea import fixes_from_sentences
-from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.rows import in_time_order
 from smoother.units import DEG, MILLISECOND, STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -93,8 +93,8 @@ def read_out(path: Path) -> ThesisRecording:
             f"{path.name}: no record of the thesis' format ({len(data)} bytes); is it the logger's file?"
         )
     start_ms, counts = _imu_values(data, records.position)
-    rows = RowFilter(path.name, "imu", np.ones(start_ms.size, dtype=np.bool_))
-    t, index = put_in_time_order(rows, start_ms * MILLISECOND, counts)
+    ordered = in_time_order(start_ms * MILLISECOND, counts, file=path.name, prefix="imu")
+    t, index = ordered.t, ordered.index
     imu = RawImu(t, counts[index, :3], counts[index, 3:], ACCEL_SCALE, GYRO_SCALE, ACCEL_FULL_SCALE, GYRO_FULL_SCALE)
     with_gps = records.has_gps[index]
     position = records.position[index][with_gps]
@@ -102,7 +102,7 @@ def read_out(path: Path) -> ThesisRecording:
     reading = fixes_from_sentences(zip(t[with_gps].tolist(), blocks, strict=True), path.name)
     mag = RawMag(t[with_gps], _field(data, position + _FLAG_OFFSET + 1))
     return ThesisRecording(
-        imu, mag, reading.gnss, [*_unresolved(records, path.name), *rows.problems, *reading.problems]
+        imu, mag, reading.gnss, [*_unresolved(records, path.name), *ordered.problems, *reading.problems]
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.frames import Origin, geodetic_to_nwu, rotation_from_euler
-from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.rows import in_time_order
 from smoother.session.tables import Table, read_table
 from smoother.trajectory import Trajectory
 from smoother.units import DEG
@@ -30,8 +30,9 @@ def load_truth(directory: Path, origin: Origin) -> Trajectory:
     table = read_table(path, ("t_s",), (*GEODETIC, "alt_m", *LOCAL, *VELOCITY, *ANGLES))
     position_n = _position_n(table, origin)
     t = table.column("t_s")
-    rows = RowFilter(path.name, "truth", np.isfinite(t) & np.all(np.isfinite(position_n[:, :2]), axis=1))
-    t, index = put_in_time_order(rows, t, position_n)
+    known = np.flatnonzero(np.isfinite(t) & np.all(np.isfinite(position_n[:, :2]), axis=1))
+    ordered = in_time_order(t[known], position_n[known], file=path.name, prefix="truth")
+    t, index = ordered.t, known[ordered.index]
     if t.size == 0:
         raise SessionError(f"{path.name}: no usable row; wanted t_s with lat_deg, lon_deg or north_m, west_m")
     unknown = np.full((t.size, 3), np.nan)

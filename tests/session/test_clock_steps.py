@@ -9,7 +9,7 @@ from smoother.arrays import Array
 from smoother.samples import RawSession
 from smoother.session.clock_steps import find_step_back
 from smoother.session.load import load_raw
-from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.rows import in_time_order
 
 NUMBER = np.arange(2000)
 PLACE = np.sin(0.37 * NUMBER) + 1e-3 * NUMBER  # of a row, another for each
@@ -63,13 +63,12 @@ def test_a_stray_time_and_a_restart_are_none_either(by: float) -> None:
 
 @pytest.mark.parametrize("is_alone", [True, False])
 def test_rows_are_joined_only_where_nothing_else_keeps_to_their_clock(is_alone: bool) -> None:
-    rows = RowFilter("gps.csv", "gps", np.ones(NUMBER.size, dtype=np.bool_), is_alone=is_alone)
-    time, index = put_in_time_order(rows, set_back(1.3), PLACE)
-    problem = rows.problems[0]
+    ordered = in_time_order(set_back(1.3), PLACE, file="gps.csv", prefix="gps", is_alone=is_alone)
+    time, index, problem = ordered.t, ordered.index, ordered.problems[0]
     assert problem.code == "gps_clock_behind" and "its clock was set back by 1.30 s at 190 s" in problem.text
     if is_alone:
         np.testing.assert_allclose(time, set_back(0.0), atol=1e-6)
-        assert index.size == NUMBER.size and len(rows.problems) == 1
+        assert index.size == NUMBER.size and len(ordered.problems) == 1
     else:
         assert "what follows stands so much too early" in problem.text and index.size < NUMBER.size
 

@@ -5,29 +5,21 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from smoother.session.rows import (
-    MICROSECOND_WRAP,
-    RowFilter,
-    is_all,
-    longest_increasing,
-    put_in_time_order,
-    spread_coarse_times,
-    unwrap,
-)
+from smoother.session.coarse import Spread, spread_coarse_times
+from smoother.session.rows import WRAPS, Ordered, in_time_order, is_all, longest_increasing, unwrap
 
 
-def rows_of(count: int) -> RowFilter:
-    return RowFilter("imu.csv", "imu", np.ones(count, dtype=bool))
+def codes(of: Ordered | Spread) -> dict[str, int]:
+    return {problem.code: problem.count for problem in of.problems}
 
 
-def codes(rows: RowFilter) -> dict[str, int]:
-    return {problem.code: problem.count for problem in rows.problems}
+def order(t: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, np.ndarray, Ordered]:
+    ordered = in_time_order(np.asarray(t, dtype=float), *values, file="imu.csv", prefix="imu")
+    return ordered.t, ordered.index, ordered
 
 
-def order(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, RowFilter]:
-    rows = rows_of(len(t))
-    time, index = put_in_time_order(rows, np.asarray(t, dtype=float))
-    return time, index, rows
+def spread_of(t: np.ndarray, values: np.ndarray) -> Spread:
+    return spread_coarse_times(t, values, file="imu.csv", prefix="imu")
 
 
 def test_a_flawless_stream_is_used_as_it_is() -> None:
@@ -161,11 +153,10 @@ def test_a_restart_is_found_among_stray_stamps() -> None:
     assert set(index) == set(range(600, 1500)) - {700, 1200}
 
 
-def blocks(*parts: slice) -> tuple[np.ndarray, np.ndarray, RowFilter]:
+def blocks(*parts: slice) -> tuple[np.ndarray, np.ndarray, Ordered]:
     """What is left of parts of 1000 rows at 10 Hz, written one behind the other, with values that tell them apart."""
     which = np.concatenate([np.arange(1000)[part] for part in parts])
-    rows = rows_of(which.size)
-    time, index = put_in_time_order(rows, which * 0.1, np.sin(which)[:, None])
+    time, index, rows = order(which * 0.1, np.sin(which)[:, None])
     np.testing.assert_allclose(time, which[index] * 0.1)
     return time, which[index], rows
 
@@ -177,37 +168,12 @@ def blocks(*parts: slice) -> tuple[np.ndarray, np.ndarray, RowFilter]:
         ((slice(0, 200), slice(300, 700), slice(200, 300), slice(700, 1000)), {"imu_blocks_moved": 1}),
         ((slice(500, 1000), slice(0, 500)), {"imu_blocks_moved": 1}),
         ((slice(0, 1000), slice(0, 1000)), {"imu_blocks_moved": 1, "imu_repeated_time": 1000}),
-        ((slice(None, None, -1),), {"imu_blocks_moved": 1000}),
+        ((slice(None, None, -1),), {"imu_reordered": 1000}),
     ],
 )
 def test_blocks_written_twice_or_in_another_order_cost_nothing(parts: tuple[slice, ...], said: dict[str, int]) -> None:
     _, which, rows = blocks(*parts)
     assert which.tolist() == list(range(1000)) and codes(rows) == said
-
-
-@pytest.mark.parametrize(
-    ("parts", "lost"),
-    [
-        ((slice(0, 700), slice(250, 350), slice(800, 1000)), slice(700, 800)),  # a block holds an older one
-        ((slice(0, 250), slice(700, 800), slice(350, 1000)), slice(250, 350)),  # or a newer one
-    ],
-)
-def test_a_block_in_place_of_which_another_stands_again_is_a_gap(parts: tuple[slice, ...], lost: slice) -> None:
-    _, which, rows = blocks(*parts)
-    assert which.tolist() == np.delete(np.arange(1000), lost).tolist()
-    assert codes(rows) == {"imu_written_again": 100}
-
-
-@pytest.mark.parametrize("offset", [-5000.0, 37.0, 5000.0])
-def test_blocks_of_another_recording_in_place_of_lost_ones_cost_only_themselves(offset: float) -> None:
-    t = np.arange(10_000) * 0.01
-    foreign = np.zeros(t.size, dtype=np.bool_)
-    for start in (1000, 3000, 3500, 7000, 9000):
-        foreign[start : start + 150] = True
-    t[foreign] = (np.flatnonzero(foreign) * 0.01 * 1.7 + offset) % 1e4
-    time, index, rows = order(t)
-    assert set(np.flatnonzero(~foreign)) == set(index) and codes(rows) == {"imu_astray": 750}
-    np.testing.assert_allclose(time, index * 0.01)
 
 
 def test_a_short_second_run_of_the_clock_is_not_mixed_into_the_gaps_of_the_first() -> None:
@@ -220,10 +186,9 @@ def test_a_short_second_run_of_the_clock_is_not_mixed_into_the_gaps_of_the_first
 def test_a_file_from_the_newest_row_to_the_oldest_may_have_gaps() -> None:
     t = np.delete(np.arange(1000) * 0.1, np.s_[40::50])
     t = (t + 1.1 * np.floor(t / 5.0))[::-1]
-    rows = rows_of(t.size)
-    time, _ = put_in_time_order(rows, t, np.sin(t)[:, None])
+    time, _, rows = order(t, np.sin(t)[:, None])
     np.testing.assert_array_equal(time, t[::-1])
-    assert codes(rows) == {"imu_blocks_moved": t.size}
+    assert codes(rows) == {"imu_reordered": t.size}
 
 
 def test_blocks_with_time_between_them_are_a_restart_of_the_clock() -> None:
@@ -233,8 +198,7 @@ def test_blocks_with_time_between_them_are_a_restart_of_the_clock() -> None:
 
 def test_other_rows_of_the_same_times_are_a_restart_of_the_clock() -> None:
     t = np.concatenate([np.arange(600), np.arange(900)]) * 0.1
-    rows = rows_of(t.size)
-    _, index = put_in_time_order(rows, t, np.arange(1500.0))
+    _, index, rows = order(t, np.arange(1500.0))
     assert index[0] == 600 and codes(rows) == {"imu_clock_restart": 600}
 
 
@@ -248,18 +212,18 @@ def test_a_32_bit_counter_may_wrap(counts_per_second: float, limit: float) -> No
 
 
 def test_a_single_low_stamp_is_not_a_wrap() -> None:
-    t = MICROSECOND_WRAP - 5.0 + np.arange(400) * 0.01
+    t = WRAPS[0] - 5.0 + np.arange(400) * 0.01
     t[200] = 0.0
     np.testing.assert_array_equal(unwrap(t)[0], t)
 
 
 def test_stamps_with_too_few_decimals_are_spread_over_the_interval_they_share() -> None:
     true = np.arange(400) * 0.005
-    rows = rows_of(400)
     coarse = np.floor(true * 100 + 1e-9) / 100
-    spread = spread_coarse_times(rows, coarse, np.arange(400.0)[:, None])
+    made = spread_of(coarse, np.arange(400.0)[:, None])
+    spread = made.t
     np.testing.assert_allclose(spread, true, atol=1e-9)
-    assert codes(rows) == {"imu_coarse_time": 200}
+    assert made.problems[0].count == 200
 
 
 @pytest.mark.parametrize("decimals", [3, 6])
@@ -267,13 +231,13 @@ def test_samples_that_were_read_out_together_end_with_their_stamp(decimals: int)
     true = np.arange(4000) / 200.0
     late = np.random.default_rng(0).uniform(0.0, 0.002, 200)
     stamps = np.repeat(np.round(true[19::20] + late, decimals), 20)
-    rows = rows_of(4000)
-    spread = spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None])
+    made = spread_of(stamps, np.arange(4000.0)[:, None])
+    spread = made.t
     assert np.all(np.diff(spread) > 0.0)
     assert abs(np.mean(spread - true) - 0.001) < 5e-4
     assert np.max(np.abs(spread - true)) < 0.004
-    assert codes(rows) == {"imu_coarse_time": 3800}
-    assert "read out together" in rows.problems[0].text
+    assert made.problems[0].count == 3800
+    assert "read out together" in made.problems[0].text
 
 
 @pytest.mark.parametrize(("tick", "decimals"), [(1 / 64, 3), (0.0156, 4), (1 / 60, 6), (0.01, 2), (1.0, 0)])
@@ -281,25 +245,26 @@ def test_a_clock_with_coarse_ticks_is_no_read_out(tick: float, decimals: int) ->
     true = 100.0 + 0.0031 + np.arange(12000) / 200.0
     stamps = np.round(np.floor(true / tick) * tick, decimals)
     stamps[5000] += 1.3e-4  # one stamp that is damaged
-    rows = rows_of(12000)
-    spread = spread_coarse_times(rows, stamps, np.arange(12000.0)[:, None])
-    assert "spread evenly; if stamps are rounded" in rows.problems[0].text
-    assert rows.stamp_sigma == pytest.approx(0.5 * tick, rel=0.05)
+    made = spread_of(stamps, np.arange(12000.0)[:, None])
+    spread = made.t
+    assert "spread evenly; if stamps are rounded" in made.problems[0].text
+    assert made.sigma == pytest.approx(0.5 * tick, rel=0.05)
     assert abs(np.median(spread - true)) < 0.007
 
 
 def test_batches_of_one_size_end_with_their_stamp_even_on_a_grid() -> None:
     true = 0.035 + np.arange(4000) / 200.0
-    rows = rows_of(4000)
     stamps = np.repeat(np.round(true[19::20], 2), 20)
-    spread = spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None])
+    made = spread_of(stamps, np.arange(4000.0)[:, None])
+    spread = made.t
     assert abs(np.median(spread - true)) < 0.006
 
 
 def test_rows_written_twice_are_not_spread() -> None:
-    rows, t = rows_of(400), np.repeat(np.arange(200) * 0.01, 2)
-    np.testing.assert_array_equal(spread_coarse_times(rows, t, np.repeat(np.arange(200.0), 2)[:, None]), t)
-    assert rows.problems == []
+    t = np.repeat(np.arange(200) * 0.01, 2)
+    made = spread_of(t, np.repeat(np.arange(200.0), 2)[:, None])
+    np.testing.assert_array_equal(made.t, t)
+    assert not made.problems
 
 
 @settings(max_examples=200, deadline=None)
@@ -322,18 +287,17 @@ def test_samples_that_are_stamped_one_by_one_as_they_are_read_out(size: int) -> 
     rng = np.random.default_rng(3)
     late = np.repeat(rng.exponential(4e-4, 4000), size)[:4000]  # reading begins now sooner, now later
     stamps = true[last] + late + (np.arange(4000) % size) * 1e-4
-    rows = rows_of(4000)
-    spread = spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None])
+    made = spread_of(stamps, np.arange(4000.0)[:, None])
+    spread = made.t
     assert np.max(np.abs(spread - true - np.median(late))[size:-size]) < 0.006
     assert abs(np.median(spread - true)) < 0.001
-    assert "read out together" in rows.problems[0].text
+    assert "read out together" in made.problems[0].text
 
 
 def test_a_logger_that_catches_up_now_and_then_is_left_alone() -> None:
     stamps = np.arange(4000) / 200.0
     stamps[500:520] = stamps[520] - 1e-4 * np.arange(20, 0, -1)
-    rows = rows_of(4000)
-    np.testing.assert_array_equal(spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None]), stamps)
+    np.testing.assert_array_equal(spread_of(stamps, np.arange(4000.0)[:, None]).t, stamps)
 
 
 @pytest.mark.parametrize(("fewest", "most"), [(8, 30), (4, 12), (6, 8)])
@@ -346,9 +310,9 @@ def test_samples_may_be_read_out_now_sooner_now_later(fewest: int, most: int) ->
     group = np.searchsorted(ends, np.arange(6000), side="right")
     place = np.arange(6000) - np.append(0, ends)[group]
     stamps = true[ends[group] - 1] + 2e-4 * place + rng.exponential(1e-3, ends.size)[group]
-    rows = rows_of(6000)
-    spread = spread_coarse_times(rows, stamps, np.arange(6000.0)[:, None])
-    assert "read out together" in rows.problems[0].text
+    made = spread_of(stamps, np.arange(6000.0)[:, None])
+    spread = made.t
+    assert "read out together" in made.problems[0].text
     assert np.max(np.abs(spread - true)) < 0.012
 
 
@@ -356,18 +320,19 @@ def test_samples_may_be_read_out_now_sooner_now_later(fewest: int, most: int) ->
 def test_pauses_are_no_part_of_how_samples_are_read_out(pause: float) -> None:
     """A table of two drives, stamped evenly or read out: a long pause makes the mean time between rows long."""
     even = np.arange(4000) / 200.0 + np.repeat(np.arange(8) * pause, 500)
-    rows = rows_of(4000)
-    np.testing.assert_array_equal(spread_coarse_times(rows, even, np.arange(4000.0)[:, None]), even)
-    assert not rows.problems
+    made = spread_of(even, np.arange(4000.0)[:, None])
+    np.testing.assert_array_equal(made.t, even)
+    assert not made.problems
     stamps = np.repeat(even[9::10], 10) + np.tile(np.arange(10) * 2e-4, 400)
-    spread = spread_coarse_times(rows_of(4000), stamps, np.arange(4000.0)[:, None])
+    made = spread_of(stamps, np.arange(4000.0)[:, None])
+    spread = made.t
     assert np.max(np.abs(spread - even)) < 0.001
 
 
 def test_samples_taken_in_short_drives_of_a_fast_sensor_are_no_readings() -> None:
     """2 kHz for a tenth of a second in each: nothing waits for as many as come."""
     stamps = (np.arange(200) / 2000.0 + np.arange(40)[:, None] * np.geomspace(0.15, 0.9, 40)[:, None]).ravel()
-    np.testing.assert_array_equal(spread_coarse_times(rows_of(8000), stamps, np.arange(8000.0)[:, None]), stamps)
+    np.testing.assert_array_equal(spread_of(stamps, np.arange(8000.0)[:, None]).t, stamps)
 
 
 @pytest.mark.parametrize("back", [2.634, 5.0])
@@ -375,7 +340,6 @@ def test_a_clock_set_back_by_seconds_is_no_disorder(back: float) -> None:
     """Sorted, rows from before and after would stand by turns: at ten a second, two places for each of the seconds."""
     t = np.arange(1000) / 10.0
     t[600:] -= back
-    rows = rows_of(1000)
-    index, ordered = put_in_time_order(rows, t)[1], put_in_time_order(rows_of(1000), t)[0]
+    ordered, index, rows = order(t)
     np.testing.assert_array_equal(index, np.arange(600))
     assert np.all(np.diff(ordered) > 0.0) and codes(rows) == {"imu_clock_restart": 400}

@@ -11,7 +11,7 @@ from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, STUCK_AXES, RawImu
 from smoother.session.checks.spans import Span, constant_runs, mask_of, where
 from smoother.session.checks.spikes import spikes
-from smoother.session.checks.table import Check, Finding
+from smoother.session.checks.table import Check, Finding, dropped
 from smoother.session.inertial import FEWEST_IMU_SAMPLES, dead_axes
 from smoother.session.recorded import Recording
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -110,14 +110,14 @@ def few(r: Recording) -> Finding | None:
 def silent(r: Recording) -> Finding | None:
     """Samples of nothing but zeros."""
     bad = _rows_where(r.samples, lambda force, rate: ~(np.any(force != 0.0, axis=1) | np.any(rate != 0.0, axis=1)))
-    return _dropped(bad, "in which all six values are zero: the sensor did not answer", FEW_SILENT)
+    return dropped(bad, "in which all six values are zero: the sensor did not answer", FEW_SILENT)
 
 
 def absurd(r: Recording) -> Finding | None:
     """Values beyond any sensor."""
     force, rate = ABSURD_FORCE / r.samples.accel_scale, ABSURD_RATE / r.samples.gyro_scale
     bad = _rows_where(r.samples, lambda f, w: np.any(np.abs(f) > force, axis=1) | np.any(np.abs(w) > rate, axis=1))
-    return _dropped(bad, "with accelerations or rates no sensor can read")
+    return dropped(bad, "with accelerations or rates no sensor can read")
 
 
 def dead(r: Recording) -> Finding | None:
@@ -216,14 +216,6 @@ def is_level(values: Array, runs: Sequence[Span], run: Span) -> bool:
 
 def _unusable(r: Recording, reason: str) -> Finding:
     return Finding(f"{reason}: smoothed from GPS alone", drop=np.ones(len(r.samples.t), dtype=np.bool_))
-
-
-def _dropped(bad: BoolArray, reason: str, most: float = 1.0) -> Finding | None:
-    """Rows of mask (N,) that are not used, unless they are more than a share of all."""
-    count = int(np.count_nonzero(bad))
-    return (
-        Finding(f"{counted(count, 'row')} {reason}; dropped", count, drop=bad) if 0 < count <= most * bad.size else None
-    )
 
 
 def _rows_where(imu: RawImu, is_bad: Callable[[Array, Array], BoolArray]) -> BoolArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.samples import Problem
+from smoother.words import counted
 
 
 class Streams(Protocol):
@@ -50,6 +51,14 @@ class Finding:
     swap: tuple[str, str] | None = None
 
 
+def dropped(bad: BoolArray, reason: str, most: float = 1.0) -> Finding | None:
+    """Rows of mask (N,) that are not used, and why, unless there is none, or they are more than a share of all."""
+    count = int(np.count_nonzero(bad))
+    if not 0 < count <= most * bad.size:
+        return None
+    return Finding(f"{counted(count, 'row')} {reason}; dropped", count, drop=bad)
+
+
 @dataclass(frozen=True)
 class Check(Generic[S]):
     """One check: the code that summary.json knows it by, the stream it changes, the columns of it that it needs."""
@@ -58,6 +67,27 @@ class Check(Generic[S]):
     stream: str
     needs: tuple[str, ...]
     find: Callable[[S], Finding | None]
+
+
+@dataclass(frozen=True, eq=False)
+class OneStream:
+    """A single stream, and its file."""
+
+    name: str
+    file: str
+    rows: Any
+
+    def stream(self, name: str) -> Any:
+        """Return the rows."""
+        return self.rows if name == self.name else None
+
+    def file_of(self, name: str) -> str:
+        """Return the name of the file."""
+        return self.file
+
+    def with_stream(self, name: str, rows: Any) -> "OneStream":
+        """Return the same with other rows."""
+        return replace(self, rows=rows)
 
 
 def run(checks: Iterable[Check[S]], streams: S) -> tuple[S, list[Problem]]:

@@ -1,13 +1,12 @@
 """Receivers that write 0 for any low speed: which of their zeros are none, by the positions that move on."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.session.checks.columns import FixRows
+from smoother.session.checks.table import Finding
+from smoother.session.checks.way_steps import BASELINE, NOISE_TIMES, STUCK_ROWS, distance, steps_of, stretches
 from smoother.session.fix_columns import FixColumns, metres, sent_speed
-from smoother.session.rows import RowFilter
-from smoother.session.way_steps import BASELINE, NOISE_TIMES, STUCK_ROWS, distance, steps_of, stretches
 from smoother.words import counted
 
 LEAST_THRESHOLD = 0.5  # m/s; a receiver that writes lower speeds than this, 0 apart, has measured its zeros
@@ -21,18 +20,19 @@ SETTLED = 120.0  # s after the first fix, or a hole of SLOW_TIME, from which on 
 SAME_WAY = 0.5  # cosine of the angle between how a kart was pushed and how it drives on
 
 
-def without_zeros_of_slow(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns without the zeros of a receiver that writes 0 for any low speed, where the positions move on.
+def zeros_of_slow(f: FixRows) -> Finding | None:
+    """Zeros of a receiver that writes 0 for any low speed, where the positions move on.
 
     Taken for measured, the positions of a kart that is pushed would pass for those of a receiver that has not settled.
     Those of one that has not are left to the zeros: they come to rest, where a kart is pushed to drive. Of a receiver
     that surely writes them a kart that creeps up to its stop, or on from it, is one too, and nothing is measured
     while it comes to rest.
     """
+    c, t = f.columns, f.columns.t
     speed = sent_speed(c)
     lowest = float(np.min(speed[speed > 0.0], initial=np.inf))
     if not LEAST_THRESHOLD <= lowest < np.inf:
-        return c
+        return None
     least = NOISE_TIMES * steps_of(t, c).noise(slice(None)) * BASELINE  # m
     is_sure, wrong = _is_threshold(t, speed, lowest), np.zeros(t.size, dtype=np.bool_)
     for first, end in stretches(speed == 0.0, 0):
@@ -45,13 +45,11 @@ def without_zeros_of_slow(rows: RowFilter, t: Array, c: FixColumns) -> FixColumn
             wrong[begin:behind] = is_far or (is_sure and (is_way or _comes_from_driving(t, c, begin, first)))
         if is_sure:
             wrong[first:end] |= _beside_motion(t, first, end)
-    if count := int(np.count_nonzero(wrong)):
-        where = f"while the positions move on{f' or within {BESIDE_MOTION:g} s of motion' if is_sure else ''}"
-        text = f"speed is 0 in {counted(count, 'row')} {where}, and never between 0 and {lowest:.2g} m/s"
-        rows.say("speed_threshold", f"{text}; not used there", count)
-        names = ("speed", "velocity_north", "velocity_east", "velocity_up")
-        c = replace(c, **{name: np.where(wrong, np.nan, getattr(c, name)) for name in names})
-    return c
+    count = int(np.count_nonzero(wrong))
+    where = f"while the positions move on{f' or within {BESIDE_MOTION:g} s of motion' if is_sure else ''}"
+    text = f"speed is 0 in {counted(count, 'row')} {where}, and never between 0 and {lowest:.2g} m/s; not used there"
+    names = ("speed", "velocity_north", "velocity_east", "velocity_up")
+    return Finding(text, count, blank=dict.fromkeys(names, wrong)) if count else None
 
 
 def _is_threshold(t: Array, speed: Array, lowest: float) -> bool:

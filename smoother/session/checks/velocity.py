@@ -1,21 +1,20 @@
-"""What the velocity a receiver sends is worth, held against the positions it sends with it.
+"""Checks of the velocity that a receiver sends, held against the positions it sends with it.
 
-A speed in another unit, a column that stands still while the kart drives, zeros that only say slow, a course that
-points elsewhere: the positions are right without them, and the column is not used. A velocity that agrees is left as it
-is. Heights in feet are told by the velocities upwards.
+A speed in another unit, a column that stands still while the kart drives, a course that points elsewhere: the positions
+are right without them, and the column is not used. A velocity that agrees is left as it is.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, runs_of
-from smoother.session.climb import without_wrong_climb
-from smoother.session.fix_columns import FixColumns, metres, sent_speed
-from smoother.session.rows import RowFilter
-from smoother.session.slow_zeros import without_zeros_of_slow
-from smoother.session.way_steps import (
+from smoother.session.checks.columns import FixRows
+from smoother.session.checks.deadband import zeros_of_slow
+from smoother.session.checks.heights import heights_in_feet, wrong_climb
+from smoother.session.checks.table import Check, Finding
+from smoother.session.checks.way_steps import (
     BASELINE,
     FASTER,
     FEWEST_STEPS,
@@ -26,6 +25,7 @@ from smoother.session.way_steps import (
     distance,
     steps_of,
 )
+from smoother.session.fix_columns import FixColumns, metres, sent_speed
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
 
@@ -52,44 +52,36 @@ AXES_ALIKE = 1.1  # times one another; latitude and longitude exchanged make 1.4
 COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
 
 
-def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """Return the columns without the velocity that their positions contradict, and say so in `rows`.
-
-    t (N,) s, in order. Taken for measured, it would pull the path away from fixes that are right.
-    """
-    _say_missing_course(rows, c)
-    c = _without_wrong_unit(rows, t, c)
-    c = _without_repeats(rows, without_zeros_of_slow(rows, t, _without_stuck(rows, t, c)))
-    c = _without_wrong_course(rows, t, c)
-    return without_wrong_climb(rows, t, c)
+LEVEL = ("speed", "course_deg", "velocity_north", "velocity_east")
+DIRECTION = ("course_deg", "velocity_north", "velocity_east", "velocity_up")
 
 
-def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
+def no_course(f: FixRows) -> Finding | None:
+    """Speeds without a direction."""
+    c = f.columns
     moving = (c.speed > MOVING) & ~np.isfinite(c.velocity_north)
     lost = int(np.count_nonzero(moving & ~np.isfinite(c.course_deg)))
-    if lost > 0.5 * np.count_nonzero(c.speed > MOVING):
-        rows.say(
-            "no_course", f"{counted(lost, 'moving fix')} with a speed but no course; the speed is used alone", lost
-        )
+    if lost <= 0.5 * np.count_nonzero(c.speed > MOVING):
+        return None
+    return Finding(f"{counted(lost, 'moving fix')} with a speed but no course; the speed is used alone", lost)
 
 
-def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns with speeds in m/s where they are in another unit, and without where nothing explains them; says so.
+def speed_unit(f: FixRows) -> Finding | None:
+    """Speeds in another unit, turned into m/s; not used where no unit explains them.
 
     Speeds that are 3.6 times too large would pass for fixes that are noisy and late.
     """
-    share, highest = _share_of_speed(t, c)
+    c, every = f.columns, np.ones(f.columns.t.size, dtype=np.bool_)
+    share, highest = _share_of_speed(c.t, c)
     if not (share < SAME_SPEED[0] or highest < share < ABSURD_SHARE):
-        return c
+        return None
     unit = next((name for name, ratio in UNIT_RATIOS.items() if abs(share / ratio - 1.0) < SAME_UNIT), None)
     text = f"its speeds are {share:.2f} times those of its positions"
-    unknown = np.full(t.size, np.nan)
     if unit is None:
-        rows.say("speed_unit", f"{text}; not used. What is their unit?", 1)
-        return replace(c, speed=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
-    rows.say("speed_unit", f"{text}, as if in {unit}; taken as such", 1)
-    names = ("speed", "velocity_north", "velocity_east")  # upwards it may be in a unit of its own
-    return replace(c, **{name: getattr(c, name) / UNIT_RATIOS[unit] for name in names}, velocity_up=unknown)
+        blank = dict.fromkeys(("speed", "velocity_north", "velocity_east", "velocity_up"), every)
+        return Finding(f"{text}; not used. What is their unit?", blank=blank)
+    scale = dict.fromkeys(("speed", "velocity_north", "velocity_east"), 1.0 / UNIT_RATIOS[unit])
+    return Finding(f"{text}, as if in {unit}; taken as such", scale=scale, blank={"velocity_up": every})
 
 
 def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
@@ -120,18 +112,17 @@ def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
     return (float(share) if high < 1.25 * low else float("nan")), highest
 
 
-def _without_stuck(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """Empty the cells of columns that repeat one value while the positions say something else."""
-    steps = steps_of(t, c)
-    for names in (("speed",), ("course_deg",), ("velocity_north", "velocity_east")):
-        values = np.column_stack([getattr(c, name) for name in names])
-        stuck = _stuck(t, steps, values, _off(steps, c, names[0]))
-        if count := int(np.count_nonzero(stuck)):
-            what, shown = names[0].partition("_")[0], ", ".join(f"{value:g}" for value in values[np.argmax(stuck)])
-            where = f"{what} stands at {shown} in {counted(count, 'row')}"
-            rows.say(f"{what}_stuck", f"{where} while the positions move otherwise; not used there", count)
-            c = replace(c, **{name: np.where(stuck, np.nan, getattr(c, name)) for name in names})
-    return c
+def stuck(names: tuple[str, ...], f: FixRows) -> Finding | None:
+    """Columns that repeat one value while the positions say something else."""
+    c = f.columns
+    steps, values = steps_of(c.t, c), np.column_stack([getattr(c, name) for name in names])
+    stands = _stuck(c.t, steps, values, _off(steps, c, names[0]))
+    count = int(np.count_nonzero(stands))
+    if not count:
+        return None
+    what, shown = names[0].partition("_")[0], ", ".join(f"{value:g}" for value in values[np.argmax(stands)])
+    text = f"{what} stands at {shown} in {counted(count, 'row')} while the positions move otherwise; not used there"
+    return Finding(text, count, blank=dict.fromkeys(names, stands))
 
 
 def _off(steps: Steps, c: FixColumns, name: str) -> Callable[[float], BoolArray]:
@@ -173,30 +164,29 @@ def _runs(values: Array) -> Iterator[tuple[int, int]]:
             yield first, last + 1
 
 
-def _without_repeats(rows: RowFilter, c: FixColumns) -> FixColumns:
-    """The columns without the velocities of a receiver that renews them less often than its positions.
+def repeated(f: FixRows) -> Finding | None:
+    """Velocities that a receiver renews less often than its positions.
 
     Each is then repeated as often, until the next one comes; what is merely coarse, or steady, is repeated now more
     often and now less. The positions have to change from row to row. What stands for longer was measured anew each
     time one was due: of a kart that stands, the zeros hold positions that have not settled.
     """
-    velocity = np.column_stack([c.speed, c.course_deg, c.velocity_north, c.velocity_east])
+    c = f.columns
+    velocity = np.column_stack([getattr(c, name) for name in LEVEL])
     same = (velocity[1:] == velocity[:-1]) | (np.isnan(velocity[1:]) & np.isnan(velocity[:-1]))
     same = np.append(False, np.all(same, axis=1))
     moves = np.append(True, (np.diff(c.lat_deg) != 0.0) | (np.diff(c.lon_deg) != 0.0))
     begins = np.flatnonzero(~same)
     if begins.size < FEWEST_RENEWED:
-        return c
+        return None
     lengths, is_moving = np.diff(begins), np.logical_and.reduceat(moves, begins)[:-1]
     usual = float(np.median(lengths[is_moving])) if np.count_nonzero(is_moving) >= FEWEST_RENEWED else 1.0
     if usual < 2.0 or np.mean(lengths[is_moving] == usual) < RENEWED_ALIKE:
-        return c
+        return None
     repeats = same & moves & np.any(np.isfinite(velocity), axis=1) & ~_are_due(begins, same.size, usual)
     count = int(np.count_nonzero(repeats))
     text = f"speed and course are new in one of {usual:.0f} rows only, and repeated in {counted(count, 'row')}"
-    rows.say("velocity_repeated", f"{text}; not used there", count)
-    names = ("speed", "course_deg", "velocity_north", "velocity_east", "velocity_up")
-    return replace(c, **{name: np.where(repeats, np.nan, getattr(c, name)) for name in names})
+    return Finding(f"{text}; not used there", count, blank=dict.fromkeys((*LEVEL, "velocity_up"), repeats))
 
 
 def _are_due(begins: IntArray, n: int, usual: float) -> BoolArray:
@@ -210,32 +200,42 @@ def _are_due(begins: IntArray, n: int, usual: float) -> BoolArray:
     return np.asarray((place % usual == 0.0) & (length[run] - place > 0.5 * usual))
 
 
-def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns without direction where it mostly points elsewhere than the positions go.
+def exchanged(f: FixRows) -> Finding | None:
+    """Components that agree with the positions once north and east are exchanged."""
+    steps, _, said, off = _course_off(f.columns)
+    if not off > COURSE_OFF or not _are_exchanged(steps, f.columns, said & np.isfinite(f.columns.velocity_north)):
+        return None
+    text = "by its positions its velocities north and east are exchanged; taken as such"
+    return Finding(text, swap=("velocity_north", "velocity_east"))
 
-    Components that agree once north and east are exchanged are exchanged, and said.
-    """
+
+def wrong_course(f: FixRows) -> Finding | None:
+    """A direction that mostly is another than that in which the positions go."""
+    c = f.columns
+    steps, course, said, off = _course_off(c)
+    if not off > COURSE_OFF:
+        return None
+    others = ((how, _mostly_off(c.t, steps, other(course), said)) for how, other in _OTHER_COURSES.items())
+    hint = next((f", as if {how}" for how, rest in others if rest < COURSE_ALIKE), "")
+    every = np.ones(c.t.size, dtype=np.bool_)
+    text = f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used"
+    return Finding(text, blank=dict.fromkeys(DIRECTION, every))
+
+
+def _course_off(c: FixColumns) -> tuple[Steps, Array, BoolArray, float]:
+    """Steps of the way, course (N,) deg that is sent, which steps say where the kart goes, and how far off it is, deg;
+    NaN where too few say so."""
     has_parts = np.isfinite(c.velocity_north) & np.isfinite(c.velocity_east)
     course = np.where(has_parts, np.degrees(np.arctan2(c.velocity_east, c.velocity_north)), c.course_deg)
-    steps = steps_of(t, c)
+    steps = steps_of(c.t, c)
     known = steps.whole & np.isfinite(course) & ~_says_slow(c)
-    told = known & steps.told(steps.noise(known)) if np.any(known) else known
-    if np.count_nonzero(told) < FEWEST_STEPS or np.ptp(t[told]) < STUCK_TIME:
-        return c
-    off = _mostly_off(t, steps, course, told)
-    if off <= COURSE_OFF:
-        return c
-    if _are_exchanged(t, steps, c, told & has_parts):
-        rows.say("velocity_exchanged", "by its positions its velocities north and east are exchanged; taken as such", 1)
-        return replace(c, velocity_north=c.velocity_east, velocity_east=c.velocity_north)
-    others = ((how, _mostly_off(t, steps, other(course), told)) for how, other in _OTHER_COURSES.items())
-    hint = next((f", as if {how}" for how, rest in others if rest < COURSE_ALIKE), "")
-    rows.say("course_wrong", f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used", 1)
-    unknown = np.full(t.size, np.nan)
-    return replace(c, course_deg=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+    said = known & steps.told(steps.noise(known)) if np.any(known) else known
+    if np.count_nonzero(said) < FEWEST_STEPS or np.ptp(c.t[said]) < STUCK_TIME:
+        return steps, course, said, np.nan
+    return steps, course, said, _mostly_off(c.t, steps, course, said)
 
 
-def _are_exchanged(t: Array, steps: Steps, c: FixColumns, told: BoolArray) -> bool:
+def _are_exchanged(steps: Steps, c: FixColumns, told: BoolArray) -> bool:
     """Whether components of velocity agree with the positions once north and east are exchanged; by the steps `told`.
 
     Of latitude and longitude exchanged the directions agree as well; but what was taken for a degree of one is not as
@@ -243,7 +243,7 @@ def _are_exchanged(t: Array, steps: Steps, c: FixColumns, told: BoolArray) -> bo
     """
     if np.count_nonzero(told) < FEWEST_STEPS:
         return False
-    if _mostly_off(t, steps, np.degrees(np.arctan2(c.velocity_north, c.velocity_east)), told) > COURSE_ALIKE:
+    if _mostly_off(c.t, steps, np.degrees(np.arctan2(c.velocity_north, c.velocity_east)), told) > COURSE_ALIKE:
         return False
     pairs = ((steps.north, c.velocity_east), (steps.east, c.velocity_north))
     with np.errstate(divide="ignore"):  # of a column that is 0 throughout
@@ -269,3 +269,18 @@ _OTHER_COURSES: dict[str, Callable[[Array], Array]] = {
     "anticlockwise from north": np.negative,
     "anticlockwise from east, or latitude and longitude exchanged": lambda course: 90.0 - course,
 }
+
+
+VELOCITY_CHECKS = (
+    Check("gps_no_course", "fixes", ("speed",), no_course),
+    Check("gps_speed_unit", "fixes", (), speed_unit),
+    Check("gps_speed_stuck", "fixes", ("speed",), partial(stuck, ("speed",))),
+    Check("gps_course_stuck", "fixes", ("course_deg",), partial(stuck, ("course_deg",))),
+    Check("gps_velocity_stuck", "fixes", ("velocity_north",), partial(stuck, ("velocity_north", "velocity_east"))),
+    Check("gps_speed_threshold", "fixes", (), zeros_of_slow),
+    Check("gps_velocity_repeated", "fixes", (), repeated),
+    Check("gps_velocity_exchanged", "fixes", ("velocity_north", "velocity_east"), exchanged),
+    Check("gps_course_wrong", "fixes", (), wrong_course),
+    Check("gps_climb_wrong", "fixes", ("velocity_up", "alt_m"), wrong_climb),
+    Check("gps_height_unit", "fixes", ("velocity_up", "alt_m"), heights_in_feet),
+)
