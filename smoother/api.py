@@ -105,7 +105,7 @@ def _with_even_times(raw: RawSession) -> RawSession:
     imu = None if raw.imu is None else replace(raw.imu, t=regularize(raw.imu.t).t)
     if raw.gnss.unix_s is None:
         return replace(raw, imu=imu)
-    return replace(raw, imu=imu, gnss=replace(raw.gnss, t=true_fix_times(raw.gnss.t, raw.gnss.unix_s).t))
+    return replace(raw, imu=imu, gnss=replace(raw.gnss, t=true_fix_times(raw.gnss.t, raw.gnss.unix_s)[0]))
 
 
 def _recording(path: Path, number: int) -> Path:

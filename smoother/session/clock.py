@@ -7,14 +7,12 @@ steps where samples were lost. What is none of that (a logger that samples when 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, is_increasing, median, runs_of
 from smoother.disc import pieces, release, roomy
 from smoother.samples import BESIDE, Problem, are_gaps, usual_step, usual_steps
-from smoother.session.sample_numbers import number_samples
 from smoother.session.utc_leaps import without_leaps
 from smoother.units import MICROSECOND
 from smoother.words import counted, span
@@ -37,8 +35,6 @@ SHORTEST_BLOCK = 32  # samples
 LONGEST_BLOCK = 10.0  # s; ... but the drift of a clock that warms up is followed
 LATE_BLOCKS = 9  # blocks of which up to half may be late without the smooth line following them
 IRREGULAR_GROWTH = 5.0  # random walk grows 8 times from 1 to 64 samples, jitter of even samples does not grow
-LITTLE_JITTER = 0.05  # periods; with less the steps of the lag show all samples that were lost
-AS_NEAR = 1.1  # ratio of how far stamps are off two lines that fit equally well
 TYPICAL_SHARE = 99.0  # percent of the intervals that count for the size of the jitter; the others are gaps
 
 PART = 1 << 21  # samples that are evened together, three hours at 200 Hz
@@ -51,9 +47,6 @@ FEWEST_PER_BIN = 5
 SHORTEST_BIN = 30.0  # s
 LARGEST_DRIFT = 2e-3  # of one clock against the other; more is not a clock
 WORST_ENVELOPE = 0.02  # s; how far the least delays may lie off the line
-# s and scatters from one bin to the next, by which delays step; so many steps at most, in so many bins at least, which
-# leave that share of what is off a line
-SMALLEST_DELAY_STEP, DELAY_STEPS_OUT, MOST_DELAY_STEPS, FEWEST_STEPPED, STEADIER = 0.008, 8.0, 4, 5, 0.3
 ODD_UTC = 1.0  # s; a fix whose UTC is off by more (leap seconds not yet known) keeps its receive time
 SHORTEST_SLOWER = 1.0  # s of samples that come more slowly than usual, that are worth a word
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
@@ -143,37 +136,13 @@ def _regularize_part(t: Array) -> TimeBase:
     if t.size < FEWEST_SAMPLES:
         return TimeBase(t, float(np.median(np.diff(t))) if t.size > 1 else np.nan)
     period = _period(t)
-    base = _evened(t, t[0] + period * np.arange(t.size), period)
-    if base.is_steady and base.jitter < LITTLE_JITTER * period:
-        return base
-    numbered = _numbered(t, period)
-    return numbered if numbered is not None and _is_as_near(numbered, base, t) else base
+    return _evened(t, t[0] + period * np.arange(t.size), period)
 
 
-def _numbered(t: Array, period: float) -> TimeBase | None:
-    """Even stamps of samples at t (N,) s some of which are lost, more than steps of the lag show through jitter.
-
-    None where the samples have no numbers, none is lost, or they arrive in bursts.
-    """
-    numbers = number_samples(t, period)
-    if numbers is None or numbers.number[-1] < t.size or _are_bursts(np.diff(t), numbers.period):
-        return None
-    line = t[0] + numbers.period * numbers.number
-    base = _evened(t, line, numbers.period, np.flatnonzero(numbers.after_hole))
-    return base if base.is_steady else None
-
-
-def _is_as_near(base: TimeBase, other: TimeBase, t: Array) -> bool:
-    """Whether one time base is as near to stamps t (N,) s as another, or nearly: the other may follow more steps."""
-    return not other.is_steady or _typical_rms(base.t - t) < AS_NEAR * _typical_rms(other.t - t)
-
-
-def _evened(t: Array, line: Array, period: float, holes: IntArray | None = None) -> TimeBase:
-    """Stamps t (N,) s with their lag behind the line (N,) s smoothed between its steps, of which some are known."""
+def _evened(t: Array, line: Array, period: float) -> TimeBase:
+    """Stamps t (N,) s with their lag behind the line (N,) s smoothed between its steps."""
     lag = t - line
     steps = _steps(lag, period)
-    if holes is not None:
-        steps = np.union1d(steps, holes)
     if _is_irregular(lag - _step_heights(lag, steps), period):
         return TimeBase(t, period, is_steady=False)
     noise = _typical_rms(np.concatenate([_roughness(piece) for piece in np.split(lag, steps)]))
@@ -396,49 +365,31 @@ def _line(lag: Array) -> Array:
     return np.asarray(offset + slope * number)
 
 
-class FixTimes(NamedTuple):
-    """Times (N,) s of fixes, whether they are others than were written, and the steps of the receiver's delay that were
-    taken out: about when, and by how much, s."""
-
-    t: Array
-    is_changed: bool
-    delay_steps: tuple[tuple[float, float], ...] = ()
-
-
-def true_fix_times(t_receive: Array, unix_s: Array, imu_t: Array | None = None) -> FixTimes:
+def true_fix_times(t_receive: Array, unix_s: Array) -> tuple[Array, bool]:
     """Replace the receive times of fixes by the receiver's own times, on the clock of the receive times.
 
     t_receive (N,) s, strictly increasing; unix_s (N,) the UTC in each fix, NaN where unknown. The least delays follow
     a line (two clocks and a constant latency); every fix is put on it, raised to the typical delay, so that the latency
-    of the stamps as they were written stays the same. Where UTC was set, it goes on as it began. Delays that step are
-    those of a receiver that has more to send; but where the samples, stamped imu_t (S,) s, step as well, it is the
-    clock of the stamps. Nothing is changed without UTC, with too few fixes, or where the two do not behave like two
-    clocks.
+    of the stamps as they were written stays the same. Where UTC was set, it goes on as it began. Returns times (N,) s
+    and whether they are others than were written: nothing is changed without UTC, with too few fixes, or where the two
+    do not behave like two clocks.
     """
     known = np.isfinite(unix_s)
     if np.count_nonzero(known) < FEWEST_FIXES:
-        return FixTimes(t_receive, False)
+        return t_receive, False
     utc = unix_s - unix_s[known][0]
     utc[known] = without_leaps(t_receive[known], utc[known])
     delay = t_receive - utc
     odd = ~(np.abs(delay - median(delay[known])) < ODD_UTC)
-    if np.mean(odd) > 0.5:
-        return FixTimes(t_receive, False)
-    envelope = _envelope(utc[~odd], delay[~odd])
-    if envelope is None:
-        return FixTimes(t_receive, False)
-    t = np.array(t_receive)
-    slope, offset, steps = envelope
-    if imu_t is not None and any(_has_hole(imu_t, step, t_receive[~odd], utc[~odd]) for step in steps):
-        return FixTimes(t_receive, False)
+    if np.mean(odd) > 0.5 or (line := _envelope(utc[~odd], delay[~odd])) is None:
+        return t_receive, False
+    t, (slope, offset) = np.array(t_receive), line
     t[~odd] = utc[~odd] + offset + slope * utc[~odd]
     t[~odd] += np.median(t_receive[~odd] - t[~odd])
     if np.any(odd):
         t[odd] = _moved_alike(t_receive[odd], t_receive[~odd], t[~odd])
         t = _not_after_the_next(t)
-    if not np.all(np.diff(t) > 0.0):
-        return FixTimes(t_receive, False)
-    return FixTimes(t, True, tuple((float(np.interp(step.middle, utc[~odd], t[~odd])), step.size) for step in steps))
+    return (t, True) if np.all(np.diff(t) > 0.0) else (t_receive, False)
 
 
 def _moved_alike(t: Array, before: Array, after: Array) -> Array:
@@ -452,23 +403,8 @@ def _not_after_the_next(t: Array) -> Array:
     return np.asarray(np.minimum.accumulate((t - tick)[::-1])[::-1] + tick)
 
 
-@dataclass(frozen=True)
-class _DelayStep:
-    """A step of the least delays by `size` s, between the middles of two bins, at utc s."""
-
-    first: float
-    last: float
-    size: float
-
-    @property
-    def middle(self) -> float:
-        """Between both bins."""
-        return 0.5 * (self.first + self.last)
-
-
-def _envelope(utc: Array, delay: Array) -> tuple[float, float, list[_DelayStep]] | None:
-    """Slope and offset (s) of a line through the least delays over utc (N,) s, and the steps that were taken out of
-    them; None if they follow none."""
+def _envelope(utc: Array, delay: Array) -> tuple[float, float] | None:
+    """Slope and offset (s) of a line through the least delays over utc (N,) s; None if they follow none."""
     span = float(utc[-1] - utc[0])
     bins = int(max(2, min(utc.size // FIXES_PER_BIN, span // SHORTEST_BIN)))
     member = np.clip(((utc - utc[0]) / max(span, 1e-9) * bins).astype(np.int64), 0, bins - 1)
@@ -479,52 +415,15 @@ def _envelope(utc: Array, delay: Array) -> tuple[float, float, list[_DelayStep]]
         return None
     centre = np.array([np.mean(utc[part]) for part in filled])
     slope, offset, off = 0.0, 0.0, np.empty(0)
-    steps: list[_DelayStep] = []
     for _ in range(3):  # the least delay of a bin is only level once the drift within the bin is out
         rest = delay - slope * utc
         low = np.array([np.percentile(rest[part], ENVELOPE_PERCENTILE) for part in filled])
         more, offset = _theil_sen(centre, low)
-        off, steps = np.abs(low - offset - more * centre), []
-        if (stepped := _with_steps(centre, low, float(np.sum(off)))) is not None:
-            more, offset, off, steps = stepped
+        off = np.abs(low - offset - more * centre)
         slope += more
     if abs(slope) > LARGEST_DRIFT or np.median(off) > WORST_ENVELOPE:
         return None
-    return slope, offset, steps
-
-
-def _with_steps(x: Array, y: Array, off_a_line: float) -> tuple[float, float, Array, list[_DelayStep]] | None:
-    """Slope, offset, what is off (N,) and the steps of y (N,) s over x (N,) s, where it steps, else is steadier than a
-    line and each stretch has a drift in common; None where it does not. off_a_line: sum of what is off a line.
-
-    All pairs that have a step between them would pass for the drift of a clock.
-    """
-    jump = np.diff(y)
-    jump = jump - np.median(jump)
-    is_step = np.abs(jump) > max(SMALLEST_DELAY_STEP, DELAY_STEPS_OUT * MAD_TO_SIGMA * float(np.median(np.abs(jump))))
-    if not 0 < np.count_nonzero(is_step) <= MOST_DELAY_STEPS or x.size < FEWEST_STEPPED:
-        return None
-    stretch = np.append(0, np.cumsum(is_step))
-    i, j = np.triu_indices(x.size, 1)
-    alike = stretch[i] == stretch[j]
-    slope = float(np.median((y[j] - y[i])[alike] / (x[j] - x[i])[alike]))
-    level = y - slope * x
-    of_stretch = np.array([np.median(level[stretch == k]) for k in range(stretch[-1] + 1)])
-    off = np.abs(level - of_stretch[stretch])
-    if np.sum(off) > STEADIER * off_a_line:
-        return None
-    sizes, at = np.diff(of_stretch).tolist(), np.flatnonzero(is_step).tolist()
-    steps = [_DelayStep(float(x[k]), float(x[k + 1]), size) for k, size in zip(at, sizes, strict=True)]
-    return slope, float(np.median(level)), off, steps
-
-
-def _has_hole(imu_t: Array, step: _DelayStep, t_receive: Array, utc: Array) -> bool:
-    """Whether stamps of samples (S,) s, increasing, leave out half of a step of the delays where it may have been."""
-    first, last = np.interp([step.first - SHORTEST_BIN, step.last + SHORTEST_BIN], utc, t_receive)
-    near = np.diff(imu_t[(imu_t > first) & (imu_t < last)])
-    if near.size == 0:
-        return True
-    return bool(near.max() - np.median(near) > 0.5 * abs(step.size))
+    return slope, offset
 
 
 def _theil_sen(x: Array, y: Array) -> tuple[float, float]:

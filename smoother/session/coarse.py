@@ -10,12 +10,6 @@ from smoother.words import counted
 
 COARSE_STEP = 1.5  # units of the last decimal from stamp to stamp; more is no want of decimals
 MOSTLY = 0.95  # share; single stamps may be damaged
-HASTE = 0.1  # of the mean time between rows; rows that are nearer come from one reading of the sensor
-SAMPLED_APART = 1e-3  # s; no sensor of a logger takes samples nearer to one another
-LONGEST_WAIT = 1.0  # s from one reading to the next; a longer one is a pause
-MOST_TOGETHER = 256  # rows of one reading; sensors store fewer
-ENOUGH = 100_000  # rows that show how all are read out
-UNEVEN = 0.6  # share by which time from reading to reading may differ from what its rows take: two in place of three
 MANY = 8  # rows; a tick of a sixtieth of a second holds as many only beyond 480 Hz
 COARSE_UNSURE = 0.5  # steps of stamps that are cut off, or rounded, or of the last row that was read out by then
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
@@ -35,14 +29,12 @@ def spread_coarse_times(t: Array, *values: Array, file: str, prefix: str) -> Spr
     Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
     as repeated would thin the recording. They lie between their stamp and the next one, if stamps are cut off; if they
     are rounded, half a step earlier, and if rows are read out at such times, a whole one. Where the stamps have
-    decimals enough, rows that share one were read out of the sensor together, at the time of the last of them; so were
-    rows that follow one another far quicker than they come. A few equal stamps are left to be dropped.
+    decimals enough, rows that share one were read out of the sensor together, at the time of the last of them. A few
+    equal stamps are left to be dropped.
     """
-    together = _step_within_reading(t)
-    if is_increasing(t) and not together:
+    if is_increasing(t):
         return Spread(t)
-    time = _when_read_out(t, together) if together else t
-    shares = np.diff(time) == 0.0
+    shares = np.diff(t) == 0.0
     equal = np.flatnonzero(shares)
     shares[equal] = np.any([np.any(value[equal + 1] != value[equal], axis=1) for value in values], axis=0)
     if equal.size == 0 or np.count_nonzero(shares) < COARSE_SHARE * t.size:
@@ -50,11 +42,11 @@ def spread_coarse_times(t: Array, *values: Array, file: str, prefix: str) -> Spr
     group = np.cumsum(np.append(True, ~shares)) - 1
     first = np.flatnonzero(np.append(True, ~shares))
     size = np.diff(np.append(first, t.size))
-    steps = np.diff(time[first])
+    steps = np.diff(t[first])
     typical = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     place, count, sigma = np.arange(t.size) - first[group], int(np.count_nonzero(shares)), 0.0
-    said = f"{counted(count, 'row')} {'right behind' if together else 'with the time of'} the row before; "
-    if together or _are_read_together(time[first], size, typical):
+    said = f"{counted(count, 'row')} with the time of the row before; "
+    if _are_read_together(t[first], size, typical):
         room = np.append(typical, steps)
         place = place - (size - 1)[group]
         said += "read out together, spread evenly up to it"
@@ -63,49 +55,8 @@ def spread_coarse_times(t: Array, *values: Array, file: str, prefix: str) -> Spr
         sigma = COARSE_UNSURE * typical
         said += f"spread evenly; if stamps are rounded, all are {1e3 * sigma:.3g} ms earlier, "
         said += "if read out together, twice that"
-    room = _room_of_reading(room, size) if together else np.clip(room, 0.0, typical)
-    spread = time + place * (room / size)[group]
+    spread = t + place * (np.clip(room, 0.0, typical) / size)[group]
     return Spread(spread, sigma, (Problem(f"{prefix}_coarse_time", f"{file}: {said}", count),))
-
-
-def _step_within_reading(t: Array) -> float:
-    """What rows at t (N,) s, each stamped as it was read out, are less apart than within one reading, s; 0 if not so.
-
-    Most rows then follow the one before in a fraction of a millisecond, and the time from one reading to the next goes
-    with how many rows were waiting. Pauses between readings are no part of either.
-    """
-    if len(t) > ENOUGH and not _step_within_reading(t[:ENOUGH]):  # a day's steps would take a gigabyte
-        return 0.0
-    steps = np.diff(t)
-    going_on = steps[(steps >= 0.0) & (steps < LONGEST_WAIT)]
-    shortest = min(HASTE * float(np.mean(going_on)), SAMPLED_APART) if going_on.size else 0.0
-    if not np.count_nonzero((steps > 0.0) & (steps < shortest)) > 0.5 * len(t):
-        return 0.0
-    begins = np.flatnonzero(np.append(True, (steps < 0.0) | (steps >= shortest)))
-    size, wait = np.diff(np.append(begins, len(t)))[1:], np.diff(t[begins])  # those that had come in the wait before
-    waited = (wait > 0.0) & (wait < LONGEST_WAIT)
-    if size.size < MANY or np.max(size) > MOST_TOGETHER or not waited.any():
-        return 0.0
-    each = wait[waited] / size[waited]
-    is_even = np.abs(each / np.median(each) - 1.0) < UNEVEN
-    return shortest if np.mean(is_even) > MOSTLY else 0.0
-
-
-def _room_of_reading(wait: Array, size: IntArray) -> Array:
-    """The time (G,) s in which the rows of each group, of `size` (G,), gathered: `wait` (G,) s since the one before.
-
-    A pause before a group, and what was before the first, is no part of it.
-    """
-    each = float(np.median((wait / size)[1:]))
-    is_pause = (wait > (1.0 + UNEVEN) * each * size) | (np.arange(size.size) == 0)
-    return np.asarray(np.where(is_pause, each * size, np.maximum(wait, 0.0)))
-
-
-def _when_read_out(t: Array, shortest: float) -> Array:
-    """The time (N,) s of the first of rows at t (N,) s that were read out together: the last had just been taken."""
-    step = np.diff(t)
-    begins = np.append(True, (step < 0.0) | (step >= shortest))
-    return np.asarray(t[np.flatnonzero(begins)][np.cumsum(begins) - 1])
 
 
 def _are_read_together(stamps: Array, size: IntArray, step: float) -> bool:

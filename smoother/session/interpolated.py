@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, median, runs_of
+from smoother.arrays import Array, BoolArray, IntArray, runs_of
 
 DIGITS = 1.05  # of the last digit: rounding moves a row by half of one, and the line beside it by as much
 MANTISSA = 1e-15  # share; as finely as a float is written
@@ -21,7 +21,6 @@ ROUNDING = 1e-3  # likewise, by the digits of stamps
 MOSTLY = 0.9  # of the knots come regularly; what bends by chance does not
 MORE_ROWS = 1.04  # rows for every knot; fewer are those of a receiver that missed some
 SLIGHT = 0.1  # of the bend beside it: a knot some per cent of a step from a row bends the next one a little, too
-LEAPING = 0.7  # share of the knots
 CLEARLY = 2.0  # roundings that most knots are off their chord; in a bend that hardly shows, every third row may be
 LONGEST_RUN = 2  # rows beside a knot that are off their chord; measured ones follow one another
 FEW_RUNS = 0.05  # share that may be longer
@@ -87,30 +86,8 @@ def measured_rows(t: Array, channels: Sequence[Array]) -> IntArray | None:
     off = off_chord(t, channels)
     beside = np.maximum(np.append(off[1:], 0.0), np.append(0.0, off[:-1]))
     off[off < SLIGHT * beside] = 0.0
-    if (jumps := _rows_after_jumps(t, channels, off)) is not None:
-        return jumps
     clear = _rows_at_bends(t, np.where(off > CLEARLY, off, 0.0))
     return _rows_at_bends(t, off) if clear is None else clear
-
-
-def _rows_after_jumps(t: Array, channels: Sequence[Array], off: Array) -> IntArray | None:
-    """Rows (K,) of t (N,) s at which places leap off a straight line: a receiver measured those and carried each on.
-
-    None where they only bend: a line between two knots beside one another rises by less than one side.
-    """
-    clear = off[off > CLEARLY]
-    first, end = runs_of(off > max(CLEARLY, SLIGHT * median(clear) if clear.size else 0.0))
-    inside = (end - first == 2) & (first > 0) & (end < t.size)
-    if first.size < FEWEST_KNOTS or np.mean(inside) < MOSTLY:
-        return None
-    k, leaps = first[inside], np.zeros(np.count_nonzero(inside), dtype=np.bool_)
-    for values in channels:
-        if (digit := _digit(values)) > 0.0:
-            slope = np.diff(values) / np.diff(t)
-            low, high = np.minimum(slope[k - 1], slope[k + 1]), np.maximum(slope[k - 1], slope[k + 1])
-            margin = CLEARLY * DIGITS * digit / np.diff(t)[k]
-            leaps |= (slope[k] < low - margin) | (slope[k] > high + margin)
-    return rows_at_knots(t, t[k + 1]) if np.mean(leaps) > LEAPING else None
 
 
 def _rows_at_bends(t: Array, off: Array) -> IntArray | None:

@@ -3,7 +3,7 @@
 Sentences name the file that values came from. What format it has, nothing here asks.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -142,22 +142,12 @@ def _with_even_fixes(recording: Recording) -> tuple[Recording, list[Problem]]:
     """The fixes at the receiver's own times, by its UTC or else by its steady rate; a constant latency remains."""
     gnss = recording.gnss
     assert gnss.unix_s is not None
-    t, by_utc, delay_steps = true_fix_times(gnss.t, gnss.unix_s, None if recording.imu is None else recording.imu.t)
+    t, by_utc = true_fix_times(gnss.t, gnss.unix_s)
     if not by_utc and len(gnss) >= FEWEST_FIXES_FOR_CLOCK:
         t = regularize(gnss.t).t
     _, of_clocks = run(CLOCKS, recording)
     recording, problems = run(GAPS, replace(recording, gnss=replace(gnss, t=t)))
-    return recording, [*_delay_steps(delay_steps, recording.gnss_file), *of_clocks, *problems]
-
-
-def _delay_steps(steps: Sequence[tuple[float, float]], file: str) -> Iterator[Problem]:
-    """What to say where fixes come later, or sooner, from about some moment on: steps of when and by how much, s."""
-    for at, by in steps:
-        text = (
-            f"from about {at:.0f} s on the fixes come {abs(by):.3f} s {'later' if by > 0.0 else 'earlier'} than before"
-        )
-        text += " behind their UTC, by which their times were mended; the delay that is given is that of most of them"
-        yield Problem("gps_delay_steps", f"{file}: {text}")
+    return recording, [*of_clocks, *problems]
 
 
 def _checked(recording: Recording) -> tuple[Recording, list[Problem]]:

@@ -326,52 +326,22 @@ def _stray_ends(t: Array) -> BoolArray:
     """Mask of a few rows at either end that stand farther away than the whole rest lasts, or than a day.
 
     A single wrong stamp at the end of a file is in order, yet would stretch the recording without bound. A few rows
-    between two long parts, of a logger that was switched on for a moment, stretch nothing and are no end. Nor is a long
-    part, however far away: which of two drives is used is for whoever sees samples and fixes.
+    between two long parts, of a logger that was switched on for a moment, stretch nothing and are no end.
     """
     stray = np.zeros(t.size, dtype=np.bool_)
     cuts = np.flatnonzero(np.diff(t) > STRAY_GAP) + 1
     if cuts.size == 0:
         return stray
     bounds = np.concatenate([[0], cuts, [t.size]])
-    main = int(np.argmax(np.diff(bounds)))
-    first, last = _grow(t, bounds, main)
-    stray[: bounds[first]] = True
-    stray[bounds[last + 1] :] = True
+    begin, end, sizes = t[bounds[:-1]], t[bounds[1:] - 1], np.diff(bounds)
+    long = np.append(np.flatnonzero(sizes > _tolerated(t.size)), np.argmax(sizes))
+    first, last = int(long.min()), int(long.max())
+    while first > 0 and begin[first] - end[first - 1] <= min(LONGEST_GAP, end[last] - begin[first]):
+        first -= 1
+    while last + 1 < sizes.size and begin[last + 1] - end[last] <= min(LONGEST_GAP, end[last] - begin[first]):
+        last += 1
+    stray[: bounds[first]] = stray[bounds[last + 1] :] = True
     return stray
-
-
-def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
-    """First and last of the parts joined to `main`: all long ones, and others that are near for the duration so far."""
-    first = last = main
-    few = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
-
-    def next_long(part: int, step: int) -> int:
-        """The first part from `part` on that has many rows, -1 or the number of parts if none has."""
-        while 0 <= part < bounds.size - 1 and bounds[part + 1] - bounds[part] <= few:
-            part += step
-        return part
-
-    def belongs(gap: float) -> bool:
-        return bool(gap <= min(LONGEST_GAP, t[bounds[last + 1] - 1] - t[bounds[first]]))
-
-    while first > 0:
-        part = next_long(first - 1, -1)
-        if part >= 0:
-            first = part
-        elif belongs(t[bounds[first]] - t[bounds[first] - 1]):
-            first -= 1
-        else:
-            break
-    while last < bounds.size - 2:
-        part = next_long(last + 1, 1)
-        if part < bounds.size - 1:
-            last = part
-        elif belongs(t[bounds[last + 1]] - t[bounds[last + 1] - 1]):
-            last += 1
-        else:
-            break
-    return first, last
 
 
 def taken(values: Array, index: IntArray) -> Array:

@@ -166,7 +166,7 @@ def received(count: int, period: float, jitter: float, drift: float = 0.0, seed:
 @pytest.mark.parametrize(("count", "period"), [(3000, 0.2), (300, 1.0), (10_000, 0.04)])
 def test_only_a_constant_latency_is_left_of_the_receive_delay(count: int, period: float, drift: float) -> None:
     true, arrival, unix = received(count, period, 0.02, drift)
-    t, changed, _ = true_fix_times(arrival, unix)
+    t, changed = true_fix_times(arrival, unix)
     assert changed
     assert np.std(t - true) < 0.0015  # 0.02 before; a percentile of 20 delays per bin is good to 1 ms
     assert np.mean(t - true) == pytest.approx(np.median(arrival - true), abs=0.001)  # what a row's delay typically was
@@ -175,40 +175,10 @@ def test_only_a_constant_latency_is_left_of_the_receive_delay(count: int, period
 def test_fixes_with_utc_before_leap_seconds_are_known_keep_their_receive_times() -> None:
     true, arrival, unix = received(1000, 0.2, 0.02)
     unix[:30] -= 18.0
-    t, changed, _ = true_fix_times(arrival, unix)
+    t, changed = true_fix_times(arrival, unix)
     assert changed
     assert np.max(np.abs(t[:30] - true[:30] - 0.12)) < 0.15  # the exponential delay exceeds 0.15 s once in 1800
     assert np.std((t - true)[30:]) < 0.0015
-
-
-@pytest.mark.parametrize("drift", [0.0, 50e-6])
-@pytest.mark.parametrize("steps", [{900: 0.03}, {1500: 0.1}, {800: -0.06}, {700: 0.06, 1700: -0.06}])
-def test_delays_that_step_are_no_drift_of_a_clock(steps: dict[int, float], drift: float) -> None:
-    """A receiver that sees more satellites has more to send."""
-    true, arrival, unix = received(2400, 0.1, 0.002, drift)
-    for row, by in steps.items():
-        arrival[row:] += by
-    found = true_fix_times(arrival, unix)
-    assert found.is_changed
-    assert np.max(np.abs(found.t - true - np.mean(found.t - true))) < 0.003
-    for (at, size), (row, by) in zip(found.delay_steps, steps.items(), strict=True):
-        assert size == pytest.approx(by, abs=0.002) and abs(at - true[row]) < 45.0  # a bin and a half
-
-
-def test_a_clock_that_steps_for_fixes_and_samples_is_not_followed_by_utc() -> None:
-    true, arrival, unix = received(2400, 0.1, 0.002)
-    samples = 5.0 + 0.005 * np.arange(48_000)
-    arrival[1200:] += 0.06
-    assert true_fix_times(arrival, unix, samples).is_changed
-    jumped = np.where(samples > true[1200], samples + 0.06, samples)
-    assert not true_fix_times(arrival, unix, jumped).is_changed
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_what_jitters_and_drifts_has_no_steps(seed: int) -> None:
-    for jitter, drift in ((0.02, 0.0), (0.002, 200e-6), (0.05, -50e-6)):
-        _, arrival, unix = received(3000, 0.2, jitter, drift, seed)
-        assert not true_fix_times(arrival, unix).delay_steps
 
 
 @pytest.mark.parametrize("by", [0.5, -0.7, 0.99])
@@ -216,7 +186,7 @@ def test_what_jitters_and_drifts_has_no_steps(seed: int) -> None:
 def test_utc_that_is_set_moves_no_fix(row: int, by: float) -> None:
     true, arrival, unix = received(1000, 0.2, 0.02)
     unix[row:] += by
-    t, changed, _ = true_fix_times(arrival, unix)
+    t, changed = true_fix_times(arrival, unix)
     assert changed
     assert np.std(t - true) < 0.0015
     assert np.mean(t - true) == pytest.approx(np.median(arrival - true), abs=0.001)
@@ -235,7 +205,7 @@ def test_utc_that_is_set_moves_no_fix(row: int, by: float) -> None:
 )
 def test_receive_times_stay_where_the_utc_is_no_clock(spoil: object) -> None:
     _, arrival, unix = received(1000, 0.2, 0.02)
-    t, changed, _ = true_fix_times(arrival, spoil(unix))  # type: ignore[operator]
+    t, changed = true_fix_times(arrival, spoil(unix))  # type: ignore[operator]
     assert not changed
     np.testing.assert_array_equal(t, arrival)
 
@@ -248,7 +218,7 @@ def test_receive_times_of_few_fixes_stay() -> None:
 def test_single_fixes_without_utc_move_with_their_neighbours() -> None:
     true, arrival, unix = received(1000, 0.2, 0.02)
     unix[[0, 400, 999]] = np.nan
-    t, changed, _ = true_fix_times(arrival, unix)
+    t, changed = true_fix_times(arrival, unix)
     assert changed and np.all(np.diff(t) > 0)
     assert np.max(np.abs(t - true - 0.12)) < 0.15
 

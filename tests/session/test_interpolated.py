@@ -59,23 +59,6 @@ def test_stamps_in_tenths_of_milliseconds_add_no_fixes(rate: float, row_rate: fl
     np.testing.assert_array_equal(np.mod(rows, round(row_rate / rate)), 0)
 
 
-@pytest.mark.parametrize("row_rate", [5, 10])
-@pytest.mark.parametrize("seed", range(4))
-def test_rows_that_a_receiver_carried_on_from_each_fix_are_left_out(row_rate: int, seed: int) -> None:
-    """It measures once a second, and sends straight on from there until it leaps to the next one."""
-    rng, (t, (lat, lon, alt, _)) = np.random.default_rng(seed), drive(1)
-    rows = np.round(np.arange(0.0, t[-1], 1.0 / row_rate), 6)
-    k = np.floor(rows + 1e-9).astype(int)
-    carried = []
-    for values, noise, digits in zip((lat, lon, alt), (2e-7, 2e-7, 0.02), DIGITS[:3], strict=True):
-        rate = np.gradient(values, t) + noise * rng.standard_normal(t.size)
-        carried.append(np.round(values[k] + rate[k] * (rows - t[k]), digits))
-    found = measured_rows(rows, carried)
-    assert found is not None
-    np.testing.assert_array_equal(np.mod(found, row_rate), 0)
-    assert found.size > 0.9 * t.size
-
-
 def road(rate: float, duration: float = 600.0) -> tuple[Array, list[Array]]:
     """Fixes on a road that leads north-east, so that no latitude comes near another."""
     t = np.arange(0.0, duration, 1.0 / rate)

@@ -279,54 +279,10 @@ def test_whatever_the_times_the_result_increases_and_every_row_is_accounted_for(
     assert dropped + index.size == len(t)
 
 
-@pytest.mark.parametrize("size", [3, 4, 5, 10, 20])
-def test_samples_that_are_stamped_one_by_one_as_they_are_read_out(size: int) -> None:
-    """Popped from the sensor's store within a fraction of a millisecond each; the last of them was just taken."""
-    true = 0.035 + np.arange(4000) / 200.0
-    last = np.minimum((np.arange(4000) // size + 1) * size - 1, 3999)
-    rng = np.random.default_rng(3)
-    late = np.repeat(rng.exponential(4e-4, 4000), size)[:4000]  # reading begins now sooner, now later
-    stamps = true[last] + late + (np.arange(4000) % size) * 1e-4
-    made = spread_of(stamps, np.arange(4000.0)[:, None])
-    spread = made.t
-    assert np.max(np.abs(spread - true - np.median(late))[size:-size]) < 0.006
-    assert abs(np.median(spread - true)) < 0.001
-    assert "read out together" in made.problems[0].text
-
-
 def test_a_logger_that_catches_up_now_and_then_is_left_alone() -> None:
     stamps = np.arange(4000) / 200.0
     stamps[500:520] = stamps[520] - 1e-4 * np.arange(20, 0, -1)
     np.testing.assert_array_equal(spread_of(stamps, np.arange(4000.0)[:, None]).t, stamps)
-
-
-@pytest.mark.parametrize(("fewest", "most"), [(8, 30), (4, 12), (6, 8)])
-def test_samples_may_be_read_out_now_sooner_now_later(fewest: int, most: int) -> None:
-    """As when the card stalls: what comes with a reading had gathered in the time before it."""
-    rng = np.random.default_rng(4)
-    true = 1.0 + np.arange(6000) / 200.0
-    ends = np.cumsum(rng.integers(fewest, most + 1, 2000))
-    ends = np.append(ends[ends < 6000], 6000)
-    group = np.searchsorted(ends, np.arange(6000), side="right")
-    place = np.arange(6000) - np.append(0, ends)[group]
-    stamps = true[ends[group] - 1] + 2e-4 * place + rng.exponential(1e-3, ends.size)[group]
-    made = spread_of(stamps, np.arange(6000.0)[:, None])
-    spread = made.t
-    assert "read out together" in made.problems[0].text
-    assert np.max(np.abs(spread - true)) < 0.012
-
-
-@pytest.mark.parametrize("pause", [0.3, 40.0, 3000.0])
-def test_pauses_are_no_part_of_how_samples_are_read_out(pause: float) -> None:
-    """A table of two drives, stamped evenly or read out: a long pause makes the mean time between rows long."""
-    even = np.arange(4000) / 200.0 + np.repeat(np.arange(8) * pause, 500)
-    made = spread_of(even, np.arange(4000.0)[:, None])
-    np.testing.assert_array_equal(made.t, even)
-    assert not made.problems
-    stamps = np.repeat(even[9::10], 10) + np.tile(np.arange(10) * 2e-4, 400)
-    made = spread_of(stamps, np.arange(4000.0)[:, None])
-    spread = made.t
-    assert np.max(np.abs(spread - even)) < 0.001
 
 
 def test_samples_taken_in_short_drives_of_a_fast_sensor_are_no_readings() -> None:

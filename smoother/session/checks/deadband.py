@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, are_near
 from smoother.session.checks.columns import FixRows
 from smoother.session.checks.table import Finding
 from smoother.session.checks.way_steps import BASELINE, NOISE_TIMES, STUCK_ROWS, distance, steps_of, stretches
@@ -25,8 +25,7 @@ def zeros_of_slow(f: FixRows) -> Finding | None:
 
     Taken for measured, the positions of a kart that is pushed would pass for those of a receiver that has not settled.
     Those of one that has not are left to the zeros: they come to rest, where a kart is pushed to drive. Of a receiver
-    that surely writes them a kart that creeps up to its stop, or on from it, is one too, and nothing is measured
-    while it comes to rest.
+    that surely writes them nothing is measured while a kart comes to rest.
     """
     c, t = f.columns, f.columns.t
     speed = sent_speed(c)
@@ -39,10 +38,11 @@ def zeros_of_slow(f: FixRows) -> Finding | None:
         if not is_sure and end - first < STUCK_ROWS:
             continue
         moves = _move(t, c, first, end, least)
-        for begin, behind in stretches(_or_beside(t[first:end], moves) if is_sure else moves, first):
-            is_way = _drives_on(t, c, behind, end)
+        moves = are_near(t[first:end], t[first:end][moves], BESIDE_MOTION) if is_sure else moves
+        for begin, behind in stretches(moves, first):
+            is_way = _drives_on(t, c, behind, end) or (is_sure and _came_driving(t, c, begin, first))
             is_far = _way(c, begin, behind - 1) > LEAST_SLOW_WAY and (is_way or _is_settled(t, begin))
-            wrong[begin:behind] = is_far or (is_sure and (is_way or _comes_from_driving(t, c, begin, first)))
+            wrong[begin:behind] = is_far or (is_sure and is_way)
         if is_sure:
             wrong[first:end] |= _beside_motion(t, first, end)
     count = int(np.count_nonzero(wrong))
@@ -89,13 +89,6 @@ def _move(t: Array, c: FixColumns, first: int, end: int, least: float) -> BoolAr
     return np.asarray(distance(north, east, before, after) > np.maximum(LEAST_SLOW * (t[after] - t[before]), least))
 
 
-def _or_beside(t: Array, mask: BoolArray) -> BoolArray:
-    """The mask (N,) of rows at t (N,) s, and of those within BESIDE_MOTION of them."""
-    count = np.concatenate([[0], np.cumsum(mask)])
-    before, after = np.searchsorted(t, t - BESIDE_MOTION), np.searchsorted(t, t + BESIDE_MOTION, side="right")
-    return np.asarray(count[after] > count[before])
-
-
 def _way(c: FixColumns, first: int, last: int) -> float:
     """How far, m, from one row to another."""
     north, east = metres(c)
@@ -112,22 +105,19 @@ def _drives_on(t: Array, c: FixColumns, behind: int, end: int) -> bool:
     """Whether positions that moved up to row `behind` go on the same way from row `end` on, where speeds are sent."""
     if end == t.size or t[end] - t[behind - 1] > 0.5 * SLOW_TIME:
         return False
-    before = int(np.searchsorted(t, t[end] - SLOW_TIME))
-    after = min(int(np.searchsorted(t, t[end] + 0.5 * SLOW_TIME)), t.size - 1)
-    return _is_same_way(c, before, end, after)
+    return _is_one_way(t, c, t[end] - SLOW_TIME, end, t[end] + 0.5 * SLOW_TIME)
 
 
-def _comes_from_driving(t: Array, c: FixColumns, begin: int, first: int) -> bool:
+def _came_driving(t: Array, c: FixColumns, begin: int, first: int) -> bool:
     """Whether positions that move from row `begin` on came the same way up to row `first`, the first without speed."""
     if first == 0 or t[begin] - t[first - 1] > 0.5 * SLOW_TIME:
         return False
-    before = int(np.searchsorted(t, t[first - 1] - 0.5 * SLOW_TIME))
-    after = min(int(np.searchsorted(t, t[first - 1] + SLOW_TIME)), t.size - 1)
-    return _is_same_way(c, before, first - 1, after)
+    return _is_one_way(t, c, t[first - 1] - 0.5 * SLOW_TIME, first - 1, t[first - 1] + SLOW_TIME)
 
 
-def _is_same_way(c: FixColumns, before: int, at: int, after: int) -> bool:
-    """Whether positions go on from row `at` as they came to it."""
-    north, east = metres(c)
-    came, goes = (np.array([north[k] - north[i], east[k] - east[i]]) for i, k in ((before, at), (at, after)))
+def _is_one_way(t: Array, c: FixColumns, before: float, at: int, after: float) -> bool:
+    """Whether positions go on from row `at` to `after` s as they came to it from `before` s."""
+    (i, k), (north, east) = np.searchsorted(t, [before, after]).tolist(), metres(c)
+    k = min(k, t.size - 1)
+    came, goes = (np.array([north[b] - north[a], east[b] - east[a]]) for a, b in ((i, at), (at, k)))
     return bool(came @ goes > SAME_WAY * np.linalg.norm(came) * np.linalg.norm(goes))
