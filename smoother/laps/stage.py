@@ -101,7 +101,7 @@ def _own(recording: Path) -> tuple[OwnLine, ...]:
     if not files or files[0][0] != "vbo":
         return ()
     from smoother.laps.own_lines import OwnLine
-    from smoother.session.vbo import own_lines
+    from smoother.session.readers.vbo import own_lines
 
     orders = own_lines(files[0][1])
     return tuple(OwnLine(o[0].kind, tuple((line.first_deg, line.second_deg) for line in o)) for o in orders)

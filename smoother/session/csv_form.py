@@ -8,6 +8,7 @@ import numpy as np
 from smoother.arrays import Array, median
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.counts import are_counts, turned_from_counts
 from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
@@ -64,6 +65,8 @@ def read_imu_and_unit(
         accel, gyro = gyro, accel
         text = "gravity is in gx, gy, gz, as if accelerations and turn rates were exchanged; taken as such"
         problems.append(Problem("imu_exchanged", f"{path.name}: {text}"))
+    if are_counts(accel, gyro):
+        problems += turned_from_counts(accel, gyro, path.name)
     is_milli = are_in_milli_g(accel, t)
     problems += [*turned_to_radians(gyro, path.name, is_milli=is_milli), *said, *turned_to_metres(accel, t, path.name)]
     if shifts is not None:

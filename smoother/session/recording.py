@@ -27,6 +27,7 @@ from smoother.samples import (
     WheelSpeed,
 )
 from smoother.session.clock import LARGEST_DRIFT, are_fix_gaps, describe_time_base, regularize, true_fix_times
+from smoother.session.counts import with_range_by_path
 from smoother.session.days import longest_recording
 from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
@@ -94,6 +95,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     gnss, imu, beside = longest_recording(gnss, imu, beside, recording.gnss_file, problems)
     imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
+        imu = with_range_by_path(imu, gnss, recording.imu_file, problems)
         imu = without_spikes(imu, recording.imu_file, problems)
         problems += dead_problems(imu, recording.imu_file)
         imu = without_frozen(imu, gnss, recording.imu_file, problems)
