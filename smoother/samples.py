@@ -134,11 +134,34 @@ class WheelSpeed:
 
 
 @dataclass(frozen=True, eq=False)
+class Channel:
+    """A quantity that was logged beside the motion, as engine speed: t (N,) s; values (N,), none of them NaN.
+
+    name : of its column in tables, lower case with the unit at its end, as water_temp_c. unit : as people write it, "".
+    """
+
+    name: str
+    unit: str
+    t: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        _freeze(self, t=(None,), values=(len(self.t),))
+        require_increasing(self.t, "Channel.t")
+
+    def between(self, begin: float, end: float) -> "Channel":
+        """Return what was logged after begin and before end, s."""
+        inside = (self.t > begin) & (self.t < end)
+        return replace(self, t=self.t[inside], values=self.values[inside])
+
+
+@dataclass(frozen=True, eq=False)
 class Beside:
     """What was recorded beside fixes and inertial samples, on the same clock."""
 
     mag: RawMag | None = None
     wheel_speed: WheelSpeed | None = None
+    channels: tuple[Channel, ...] = ()
 
     def retimed(self, change: Callable[[Array], Array]) -> "Beside":
         """Return the same at other times; `change` takes times (N,) s to times."""
@@ -146,6 +169,7 @@ class Beside:
         return Beside(
             None if mag is None else replace(mag, t=change(mag.t)),
             None if wheel is None else replace(wheel, t=change(wheel.t)),
+            tuple(replace(channel, t=change(channel.t)) for channel in self.channels),
         )
 
     def between(self, begin: float, end: float) -> "Beside":
@@ -157,7 +181,7 @@ class Beside:
         if wheel is not None:
             inside = (wheel.t > begin) & (wheel.t < end)
             wheel = replace(wheel, t=wheel.t[inside], speed=wheel.speed[inside])
-        return Beside(mag, wheel)
+        return Beside(mag, wheel, tuple(channel.between(begin, end) for channel in self.channels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,6 +328,7 @@ class RawSession:
     problems: tuple[Problem, ...] = ()
     unix_at_zero: float | None = None  # UTC, seconds since 1970, at t = 0
     wheel_speed: WheelSpeed | None = None
+    channels: tuple[Channel, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -332,6 +357,7 @@ class Session:
     unix_at_zero: float | None = None
     calibration: tuple[AppliedValue, ...] = ()
     wheel_speed: WheelSpeed | None = None
+    channels: tuple[Channel, ...] = ()
 
     @property
     def fix_position_n(self) -> Array:

@@ -8,12 +8,13 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.samples import Problem, RawMag, WheelSpeed
+from smoother.samples import Channel, Problem, RawMag, WheelSpeed
 from smoother.session.csv_form import problems_of_table, require_clock
+from smoother.session.readers.channels import channel_of, distinct
 from smoother.session.restarts import Restarts, over_restarts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
-from smoother.session.tables import read_table
+from smoother.session.tables import read_header, read_table
 from smoother.session.text_order import in_order_of_numbers
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, unit_by_rate
 
@@ -70,6 +71,17 @@ def read_wheel_speed(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[Wheel
         rows.drop((speed < 0.0) | (speed > ABSURD_SPEED), "absurd", "with a speed no wheel has")
     time, index = put_in_time_order(rows, t, speed)
     return WheelSpeed(time, speed[index]), [*said, *rows.problems]
+
+
+def read_channels(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[tuple[Channel, ...], list[Problem]]:
+    """Read channels.csv: t_s and any columns of numbers, called with their unit, as water_temp_c.
+
+    A cell may be empty where a channel has no new value. Raises SessionError as :func:`read_mag`.
+    """
+    names = [name for name in read_header(path) if name != "t_s" and name[:1].isalpha()]
+    t, values, said = _read(path, names, "channels", clock)
+    found = [channel_of(name, "", t, values[:, i]) for i, name in enumerate(names)]
+    return distinct(channel for channel in found if channel is not None), said
 
 
 def _read(path: Path, names: Sequence[str], prefix: str, clock: SessionClock) -> tuple[Array, Array, list[Problem]]:

@@ -27,6 +27,8 @@ OF_A_SESSION = (
     "mag.csv.gz",
     "wheel_speed.csv",
     "wheel_speed.csv.gz",
+    "channels.csv",
+    "channels.csv.gz",
     "official.csv",
 )  # tables that stand for the session they lie beside
 OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session

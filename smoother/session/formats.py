@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.samples import GnssFixes, Problem
+from smoother.samples import Channel, GnssFixes, Problem
 from smoother.session.files import IMU_NAMES, Foreign, SessionFiles, list_files
 from smoother.session.recording import Recording
 
@@ -88,13 +88,15 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
-    from smoother.session.beside import SessionClock, read_mag, read_wheel_speed
+    from smoother.session.beside import SessionClock, read_channels, read_mag, read_wheel_speed
     from smoother.session.csv_form import find_restarts, read_imu_and_unit
     from smoother.session.tables import NoRowsError
     from smoother.session.time_unit import lasts_like
 
     imu_table = files.imu_table()
-    mag_table, wheel_table = (files.find(f"{name}.csv", f"{name}.csv.gz") for name in ("mag", "wheel_speed"))
+    mag_table, wheel_table, channel_table = (
+        files.find(f"{name}.csv", f"{name}.csv.gz") for name in ("mag", "wheel_speed", "channels")
+    )
     imu, mag, wheel, unit, restarts = None, None, None, None, None
     problems: list[Problem] = []
     if imu_table is not None:
@@ -132,9 +134,19 @@ def _read_columns(files: SessionFiles) -> Recording:
             problems += said
         except SessionError as error:
             problems.append(Problem("wheel_speed_unusable", f"{error}; smoothed without wheel speed"))
-    inputs = tuple(file.name for file in (imu_table, gnss_file, mag_table, wheel_table) if file is not None)
+    channels: tuple[Channel, ...] = ()
+    if channel_table is not None:
+        try:
+            channels, said = read_channels(channel_table, clock)
+            problems += said
+        except SessionError as error:
+            problems.append(Problem("channels_unusable", f"{error}; smoothed without channels"))
+    tables = (imu_table, gnss_file, mag_table, wheel_table, channel_table)
+    inputs = tuple(file.name for file in tables if file is not None)
     imu_file = imu_table.name if imu_table is not None else ""
-    return Recording(gnss, gnss_file.name, inputs, tuple(problems), imu, imu_file, mag, wheel_speed=wheel)
+    return Recording(
+        gnss, gnss_file.name, inputs, tuple(problems), imu, imu_file, mag, wheel_speed=wheel, channels=channels
+    )
 
 
 def _is_set_back(problems: Sequence[Problem]) -> bool:
@@ -198,7 +210,14 @@ def _read_foreign(files: SessionFiles) -> Recording:
         problems.append(Problem("imu_unused", f"{table.name} is not used: it has not the clock of {path.name}"))
     names = tuple(one.name for one in paths)
     return Recording(
-        reading.gnss, path.name, names, tuple(problems), reading.imu, path.name, unix_at_zero=reading.unix_at_zero
+        reading.gnss,
+        path.name,
+        names,
+        tuple(problems),
+        reading.imu,
+        path.name,
+        unix_at_zero=reading.unix_at_zero,
+        channels=reading.channels,
     )
 
 

@@ -19,6 +19,7 @@ from smoother.samples import (
     IMU_BEFORE_FIXES,
     IMU_INCOMPLETE,
     Beside,
+    Channel,
     GnssFixes,
     Problem,
     RawImu,
@@ -75,6 +76,7 @@ class Recording:
     unix_at_zero: float | None = None  # where the file tells it, but not with each fix
     imu_delay: float | None = None  # s, of the low-pass before the sampling, where the file tells it; it is taken off
     wheel_speed: WheelSpeed | None = None
+    channels: tuple[Channel, ...] = ()
 
 
 def finish(files: SessionFiles, recording: Recording) -> RawSession:
@@ -89,7 +91,8 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     problems = [*recording.problems, *_missing_heights(recording)]
     dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
     recording = replace(recording, gnss=with_learnt_leap_seconds(dated, recording.gnss_file, problems))
-    imu, beside = _usable_imu(recording, problems), Beside(_evened_mag(recording.mag), recording.wheel_speed)
+    imu = _usable_imu(recording, problems)
+    beside = Beside(_evened_mag(recording.mag), recording.wheel_speed, recording.channels)
     gnss, imu, beside = with_even_pace(recording.gnss, imu, beside, recording.gnss_file, problems)
     gnss = _with_true_times(replace(recording, gnss=gnss), problems)
     gnss, imu, beside = longest_recording(gnss, imu, beside, recording.gnss_file, problems)
@@ -119,6 +122,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         imu=imu,
         mag=None if mag is None or mag.t.size == 0 else mag,
         wheel_speed=usable_wheel_speed(beside.wheel_speed, gnss, has_imu=imu is not None, problems=problems),
+        channels=beside.channels,
         mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),

@@ -26,13 +26,13 @@ from fastkml import gx, validator
 from fastkml.utils import find_all
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from smoother.session.readers.gpx import read_gpx
 
 from smoother.export.formats import BY_NAME
 from smoother.export.source import open_source
 from smoother.frames import rotation_from_euler
 from smoother.session.readers.table import read_table as read_aim
 from smoother.session.readers.table import read_table as read_racechrono
+from smoother.session.readers.tracks import read_track as read_gpx
 from smoother.session.readers.vbo import own_lines, read_vbo
 from smoother.units import DEG, KMH, STANDARD_GRAVITY
 

@@ -18,9 +18,11 @@ from smoother.session.fix_columns import FixColumns, fix_columns
 from smoother.session.fixes import interpolated_note
 from smoother.session.interpolated import rows_at_knots
 from smoother.session.readers.cells import degrees_of, hemispheres_of, qualities_of
+from smoother.session.readers.channels import channels_of
 from smoother.session.readers.dates import day_of
 from smoother.session.readers.foreign import ForeignReading, date_note, fixes_from, speed_unit_note, unread_note
 from smoother.session.readers.motion import imu_of
+from smoother.session.readers.names import ANGLE_UNITS
 from smoother.session.readers.sheet import Column, Sheet
 from smoother.session.readers.times import (
     CLOCK_PARTS,
@@ -83,7 +85,8 @@ def recording_of(file: str, sheets: Sequence[Sheet]) -> ForeignReading:
         if name is not None and name in found.by_name:
             timed.append((sheet, np.round((found.by_name[name].seconds - zero) / UNITS.get(unit or "", 1.0), 6)))
     raw, between = _without_rows_between(fixes, raw)
-    require_degrees(file, raw)
+    if not _are_stated_degrees(fixes, raw):
+        require_degrees(file, raw)
     known = {name: getattr(raw, name) for name in _KNOWN}
     imu, of_imu = imu_of(file, timed)
     gnss, problems = fixes_from(
@@ -103,7 +106,7 @@ def recording_of(file: str, sheets: Sequence[Sheet]) -> ForeignReading:
     if fixes.has("speed") and np.isfinite(known["speed"]).any():
         said += speed_unit_note(file, fixes.unit("speed") or _of_cells(fixes, "speed"), _usual_speed(fixes))
     problems = [*said, *of_imu, *whole_said, *unit_said, *between, *problems]
-    return ForeignReading(gnss, problems, imu, start)
+    return ForeignReading(gnss, problems, imu, start, channels_of(timed))
 
 
 def _about_times(sheet: Sheet) -> str:
@@ -205,6 +208,13 @@ def _degrees(sheet: Sheet, quantity: str) -> Array:
     degrees = degrees_of(column.cells, is_longitude=is_longitude, letters=letters)
     plain = replace(column, values=degrees)
     return replace(sheet, columns=(*sheet.columns[:place], plain, *sheet.columns[place + 1 :])).value(quantity, "deg")
+
+
+def _are_stated_degrees(sheet: Sheet, c: FixColumns) -> bool:
+    """Whether the file says the unit of its places, and they are on Earth by it."""
+    if sheet.unit("latitude") not in ANGLE_UNITS or sheet.unit("longitude") not in ANGLE_UNITS:
+        return False
+    return not np.any(np.abs(c.lat_deg) > 90.0) and not np.any(np.abs(c.lon_deg) > 360.0)
 
 
 def _quality(sheet: Sheet) -> Array:

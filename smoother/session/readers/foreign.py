@@ -6,7 +6,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.samples import Channel, GnssFixes, Problem, RawImu
 from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
 from smoother.session.readers.names import SPEED_UNITS
@@ -28,6 +28,7 @@ class ForeignReading:
     problems: list[Problem] = field(default_factory=list)
     imu: RawImu | None = None
     unix_at_zero: float | None = None
+    channels: tuple[Channel, ...] = ()
 
 
 def fixes_from(

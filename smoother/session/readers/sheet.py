@@ -30,11 +30,11 @@ class Column:
 
     def meaning(self, sensor: str) -> Meaning | None:
         """What it holds, None for a channel of another kind."""
-        if any(word in self.source for word in MADE_UP):
-            return None
         meaning = meaning_of(self.name, self.unit, sensor)
         if meaning is None or OF_RECEIVER in self.source or not self.source:
             return meaning
+        if any(word in self.source for word in MADE_UP):
+            return replace(meaning, rank=meaning.rank + 200)  # better than none, as in files of this program
         return replace(meaning, rank=meaning.rank + (0 if _fits(self.source, meaning.quantity) else 100))
 
 

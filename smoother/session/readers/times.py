@@ -23,6 +23,7 @@ CLOCK = (  # hours, minutes, seconds, half of the day, zone
     r"\s*((?:utc|gmt|z)?\s?[+-]\d{1,2}:?\d{2}\b|(?:utc|gmt)[+-]\d{1,2}\b|\(?[a-z]{1,5}\)?(?:$|[\s,]))?"
 )
 BASIC_CLOCK = r"(?i)\b(\d{8})[t ](\d{2})(\d{2})(\d{2})"  # of ISO 8601, YYYYMMDDTHHMMSS
+UNIX = "unix"  # unit of seconds since 1970, for certain
 SHORT_CLOCK = r"^\s*(\d{1,3}):(\d{2}[.,]\d+)\s*$"  # minutes and seconds
 PARTS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": DAY}  # s
 PARTS |= {"sec": 1.0, "seconds": 1.0, "secs": 1.0, "second": 1.0, "unix time": 1.0, "msec": 1e-3, "millis": 1e-3}
@@ -186,6 +187,8 @@ def zone_note(file: str) -> Problem:
 
 def moments_of_numbers(numbers: Array, unit: str) -> Moments:
     """Times by numbers (N,) : in their unit where it is known, else of whichever kind explains them."""
+    if unit == UNIX:
+        return Moments(numbers, has_date=True)
     known = numbers[np.isfinite(numbers)]
     steps = np.diff(known)
     step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf

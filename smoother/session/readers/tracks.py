@@ -18,6 +18,7 @@ from smoother.samples import Problem
 from smoother.session.readers.columns import recording_of
 from smoother.session.readers.foreign import ForeignReading
 from smoother.session.readers.sheet import Column, sheet_of
+from smoother.session.readers.times import UNIX
 from smoother.words import counted
 
 WHAT = "track in XML"
@@ -29,6 +30,7 @@ POINTS = ("trkpt", "Trackpoint", "Track")  # of GPX and TCX; of KML a whole trac
 _POINT = re.compile(rb"<(trkpt|Trackpoint)\b[^<>]*(?<!/)>(?:(?!<\1\b).)*?</\1\s*>", re.DOTALL)
 _PREFIX = re.compile(r"(</?)[\w.-]+:")  # of a name whose declaration stands elsewhere in the file
 UNITS = {  # element, in lower case: what the standards count it in
+    **{"lat": "deg", "lon": "deg", "latitudedegrees": "deg", "longitudedegrees": "deg"},
     **{"ele": "m", "altitudemeters": "m", "speed": "m/s", "course": "deg", "bearing": "deg", "distancemeters": "m"},
     **{"atemp": "C", "hr": "bpm", "heartratebpm": "bpm", "cad": "rpm", "cadence": "rpm", "watts": "W"},
 }
@@ -114,7 +116,7 @@ def read_track(path: Path) -> ForeignReading:
         said.append(Problem("gps_no_time", text, points.untimed))
     names = dict.fromkeys(("time", *points.values))
     columns = [Column(NAMES.get(name, name), points.column(name), UNITS.get(name, "")) for name in names]
-    columns[0] = Column("time", columns[0].values, "s")
+    columns[0] = Column("time", columns[0].values, UNIX)
     return recording_of(path.name, [sheet_of(path.name, columns, said)])
 
 
