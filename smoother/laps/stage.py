@@ -55,7 +55,8 @@ def stated(config: SessionConfig, directory: Path, recording: Path | None = None
     """
     tracks = () if config.track is None else _named(config.track, directory)
     own = () if tracks or recording is None else _own(recording)
-    return Stated(tracks, _official(directory / OFFICIAL), own, () if tracks else _only_a_name(config.track))
+    official = _official(directory / OFFICIAL) or (() if recording is None else _of_beacon(recording))
+    return Stated(tracks, official, own, () if tracks else _only_a_name(config.track))
 
 
 def _named(track: str, directory: Path) -> tuple[TrackFile, ...]:
@@ -88,6 +89,21 @@ def _official(path: Path) -> tuple[float, ...]:
     from smoother.laps.official import load_official
 
     return load_official(path)
+
+
+def _of_beacon(recording: Path) -> tuple[float, ...]:
+    """The lap times that the logger took itself, where the recording, a file or a folder, holds them."""
+    from smoother.session.files import list_files
+
+    try:
+        files = list_files(recording).foreign_files()
+    except SmootherError:  # results alone, or a folder of several recordings
+        return ()
+    if not files or files[0][0] not in ("xrk", "table"):
+        return ()
+    from smoother.session.readers.beacons import beacon_times
+
+    return beacon_times(*files[0])
 
 
 def _own(recording: Path) -> tuple[OwnLine, ...]:

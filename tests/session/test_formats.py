@@ -12,6 +12,7 @@ import pytest
 from smoother.errors import SessionError
 from smoother.samples import RawSession
 from smoother.session.load import load_raw
+from smoother.session.readers.beacons import beacon_times
 from smoother.session.readers.child import KINDS, sheets_in
 from smoother.units import DEG, STANDARD_GRAVITY
 
@@ -350,3 +351,13 @@ def test_what_a_library_cannot_read_is_one_line(tmp_path: Path, kind: str, name:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(SessionError, match=rf"^{name}: [^\n]+$"):
         sheets_in(kind, [tmp_path / name])
+
+
+def test_passages_of_the_beacon_in_an_aim_table_are_lap_times(tmp_path: Path) -> None:
+    rows = [f'"{t:.1f}","{lat:.8f}","{lon:.8f}"' for t, lat, lon in zip(T, LAT, LON, strict=True)]
+    head = ['"Format","AiM CSV File"', '"Duration","29.900"', '"Beacon Markers","5.250","15.500","26.000","29.900"']
+    (tmp_path / "a.csv").write_text(
+        "\n".join([*head, '"Time","GPS Latitude","GPS Longitude"', '"s","deg","deg"', *rows])
+    )
+    assert beacon_times("table", tmp_path / "a.csv") == pytest.approx((10.25, 10.5))
+    assert beacon_times("vbo", tmp_path / "a.csv") == () and beacon_times("table", tmp_path / "none.csv") == ()

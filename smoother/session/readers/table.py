@@ -23,7 +23,7 @@ def read_table(path: Path) -> ForeignReading:
 
 def sheet_in(path: Path) -> Sheet:
     """The sheet in a table. Raises SessionError, one line, where it is none."""
-    layout, offset = _layout(path)
+    layout, offset = layout_in(path)
     texts = {place for quantity in TEXTUAL for place in layout.places.get(quantity, ())}
     rows = read_rows(path, offset, len(layout.names), layout.separator, WHAT, texts=texts, comment=COMMENT)
     columns = [
@@ -40,7 +40,7 @@ def sheet_in(path: Path) -> Sheet:
     return sheet_of(path.name, columns, rows.problems(path.name), sensor=layout.sensor, about=layout.about)
 
 
-def _layout(path: Path) -> tuple[Layout, int]:
+def layout_in(path: Path) -> tuple[Layout, int]:
     """The layout of a table and the byte at which its rows begin."""
     lines: list[str] = []
 

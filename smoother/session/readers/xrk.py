@@ -34,7 +34,8 @@ def sheets(paths: Sequence[Path]) -> list[Sheet]:
     about = {key.lower(): str(log.metadata.get(key) or "").strip() for key in ("Log Date", "Log Time")}
     about["z of forces"] = "down"
     found = [sheet_of("", columns, about=about) for columns in groups.values()]
-    laps = {key: np.asarray(log.laps.column(key), dtype=np.float64) for key in ("start_time", "end_time")}
+    whole = np.array([kind == "full" for kind in log.laps.column("lap_type").to_pylist()], dtype=np.bool_)
+    laps = {key: np.asarray(log.laps.column(key), dtype=np.float64)[whole] for key in ("start_time", "end_time")}
     if laps["start_time"].size:
         found.append(sheet_of("", [Column(key, 1e-3 * values, "s") for key, values in laps.items()], sensor=LAP))
     return found
