@@ -54,6 +54,11 @@ def test_degrees_with_letters_minutes_and_seconds(cell: str) -> None:
     assert degrees_of(pl.Series([cell, cell]), is_longitude=True)[0] == pytest.approx(-17.41, abs=1e-9)
 
 
+@pytest.mark.parametrize("cell", ["17.41.2W", "17 61 00 W", "17.41X W", "1 2 3 4 W", "1" + " 1" * 4000 + "!"])
+def test_what_is_no_angle_is_none_and_costs_no_time(cell: str) -> None:
+    assert np.isnan(degrees_of(pl.Series([cell, cell]), is_longitude=True)).all()
+
+
 def test_hemispheres_beside_turn_the_sign_and_show_degrees_and_minutes() -> None:
     west = hemispheres_of(pl.Series(["W", "W", ""]), is_longitude=True)
     assert west is not None

@@ -22,14 +22,15 @@ _LETTER = r"[NSEWOnsewo]"
 _PART = r"\d+(?:[.,]\d+)?"
 _ANGLE = re.compile(
     rf"^\s*(?P<before>{_LETTER})?\s*(?P<sign>[-+−])?\s*(?P<deg>{_PART})\s*(?:[°ºd:]|deg)?\s*"
-    rf"(?:(?P<min>{_PART})\s*(?:['′’m:]|min)?\s*)?"
-    rf"(?:(?P<sec>{_PART})\s*(?:[\"″”s]|''|′′|sec)?\s*)?(?P<after>{_LETTER})?[a-z]*\s*$",
+    rf"(?:(?<![\d.,])(?P<min>{_PART})\s*(?:['′’m:]|min)?\s*)?"
+    rf"(?:(?<![\d.,])(?P<sec>{_PART})\s*(?:[\"″”s]|''|′′|sec)?\s*)?(?P<after>{_LETTER})?[a-z]*\s*$",
     re.IGNORECASE,
 )
 _EAST_OR_WEST = re.compile(r"^\s*[EWO]\w*\s*$", re.IGNORECASE)
 _NORTH_OR_SOUTH = re.compile(r"^\s*[NS]\w*\s*$", re.IGNORECASE)
 NO_FIX = re.compile(r"(?i)^(?:no ?fix|none|invalid|false|void|v|no|not? valid|0)$")
 MOSTLY = 0.5  # of the cells of a column
+LONGEST_ANGLE = 40  # letters of a cell; more is damage, of which every reading would be tried
 SEMICIRCLE = 180.0 / 2**31  # deg
 LARGEST_OF_MINUTES = 18060.0  # of longitude, as dddmm.mmmm
 
@@ -120,7 +121,7 @@ def _angles(cells: pl.Series) -> tuple[Array, Array | None]:
     values, signs = np.full(len(text), np.nan), np.full(len(text), np.nan)
     is_east = any("E" in cell.upper() for cell in text)
     for i, cell in enumerate(text):
-        if (match := _ANGLE.match(cell)) is None:
+        if len(cell) > LONGEST_ANGLE or (match := _ANGLE.match(cell)) is None:
             continue
         deg, minutes, seconds = (float((match[key] or "0").replace(",", ".")) for key in ("deg", "min", "sec"))
         if not (minutes < 60.0 and seconds < 60.0):
