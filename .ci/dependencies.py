@@ -20,6 +20,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "dependencies.md"
 BEGIN, END = "<!-- tables: made by .ci/dependencies.py -->", "<!-- end of tables -->"
 EXTRAS = {
+    "aim": "Installed with the extra `aim`",
+    "gopro": "Installed with the extra `gopro`",
+    "fit": "Installed with the extra `fit`",
     "dask": "Installed with the extra `dask`",
     "test": "For the tests only",
     "bench": "For the benchmarks only",

@@ -310,7 +310,7 @@ def write_tables(
 
     rows, clock = trajectory.every(every), utc_clock(session, trajectory)
     columns = lap_columns(laps, trajectory, rows.t)
-    write_trajectory(folder / TRAJECTORY, rows, session.origin, clock, columns)
+    write_trajectory(folder / TRAJECTORY, rows, session.origin, clock, columns, session.channels)
     if laps is not None:
         write_csv(folder / LAPS, lap_table(laps))
     write_fixes(folder / FIXES, session, trajectory.report.fixes)

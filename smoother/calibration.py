@@ -73,6 +73,7 @@ class Calibration:
             imu=None if raw.imu is None else self.apply_to_imu(raw.imu),
             mag=None if raw.mag is None else self.apply_to_mag(raw.mag),
             wheel_speed=raw.wheel_speed,
+            channels=raw.channels,
             config=raw.config,
             inputs=raw.inputs,
             problems=raw.problems,

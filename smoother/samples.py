@@ -8,7 +8,6 @@ All arrays are float64 and read-only; times are seconds on one clock per session
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -134,30 +133,25 @@ class WheelSpeed:
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """What was recorded beside fixes and inertial samples, on the same clock."""
+class Channel:
+    """A quantity that was logged beside the motion, as engine speed: t (N,) s; values (N,), none of them NaN.
 
-    mag: RawMag | None = None
-    wheel_speed: WheelSpeed | None = None
+    name : of its column in tables, lower case with the unit at its end, as water_temp_c. unit : as people write it, "".
+    """
 
-    def retimed(self, change: Callable[[Array], Array]) -> "Beside":
-        """Return the same at other times; `change` takes times (N,) s to times."""
-        mag, wheel = self.mag, self.wheel_speed
-        return Beside(
-            None if mag is None else replace(mag, t=change(mag.t)),
-            None if wheel is None else replace(wheel, t=change(wheel.t)),
-        )
+    name: str
+    unit: str
+    t: Array
+    values: Array
 
-    def between(self, begin: float, end: float) -> "Beside":
-        """Return what was recorded after begin and before end, s."""
-        mag, wheel = self.mag, self.wheel_speed
-        if mag is not None:
-            inside = (mag.t > begin) & (mag.t < end)
-            mag = replace(mag, t=mag.t[inside], field=mag.field[inside])
-        if wheel is not None:
-            inside = (wheel.t > begin) & (wheel.t < end)
-            wheel = replace(wheel, t=wheel.t[inside], speed=wheel.speed[inside])
-        return Beside(mag, wheel)
+    def __post_init__(self) -> None:
+        _freeze(self, t=(None,), values=(len(self.t),))
+        require_increasing(self.t, "Channel.t")
+
+    def between(self, begin: float, end: float) -> "Channel":
+        """Return what was logged after begin and before end, s."""
+        inside = (self.t > begin) & (self.t < end)
+        return replace(self, t=self.t[inside], values=self.values[inside])
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,6 +298,7 @@ class RawSession:
     problems: tuple[Problem, ...] = ()
     unix_at_zero: float | None = None  # UTC, seconds since 1970, at t = 0
     wheel_speed: WheelSpeed | None = None
+    channels: tuple[Channel, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -332,6 +327,7 @@ class Session:
     unix_at_zero: float | None = None
     calibration: tuple[AppliedValue, ...] = ()
     wheel_speed: WheelSpeed | None = None
+    channels: tuple[Channel, ...] = ()
 
     @property
     def fix_position_n(self) -> Array:

@@ -25,7 +25,14 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parent.parent
 PYPROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 PACKAGES = ("smoother", "calib")
-IMPORTED_AS = {"serial": "pyserial", "PIL": "pillow", "mpl_toolkits": "matplotlib", "dask": "distributed"}
+IMPORTED_AS = {
+    "serial": "pyserial",
+    "PIL": "pillow",
+    "mpl_toolkits": "matplotlib",
+    "dask": "distributed",
+    "py_gpmf_parser": "py-gpmf-parser",
+}
+OF_RUNNING = ("dask", "aim", "gopro", "fit")  # extras that a user installs
 PERMISSIVE = re.compile(r"BSD|MIT|Apache|Python Software Foundation|PSF|Zlib|HPND")
 
 
@@ -102,7 +109,8 @@ def test_wheel_is_for_every_system_and_says_what_it_needs(wheel: Path, metadata:
 
 def test_every_import_is_of_a_declared_dependency() -> None:
     project = tomllib.loads(PYPROJECT)["project"]
-    declared = {Requirement(line).name for line in project["dependencies"] + project["optional-dependencies"]["dask"]}
+    extras = (line for extra in OF_RUNNING for line in project["optional-dependencies"][extra])
+    declared = {Requirement(line).name for line in (*project["dependencies"], *extras)}
     found = {(IMPORTED_AS.get(top, top), name) for top, name in imports()}
     assert {(top, name) for top, name in found if top not in declared} == set()
     assert {"gtsam", "numpy", "pyserial"} <= {top for top, _ in found}

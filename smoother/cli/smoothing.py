@@ -31,10 +31,10 @@ from smoother.errors import SmootherError
 
 HELP = """Smooth recorded kart sessions: position, speed, attitude, each with an error bar.
 
-SESSION is the folder or card your logger wrote (.KLG; imu.csv with gps.csv or .nmea; out.txt; .vbo, .gpx, .ubx or .csv
-of other loggers), or one file of it. The results go into a folder "smoothed" inside it: a report for your browser
-(report.html), tables, figures, and summary.json with everything that was found out. Nothing you recorded is changed,
-and no network is used.
+SESSION is the folder or card your logger wrote (.KLG; imu.csv with gps.csv or .nmea; out.txt; of other loggers .xrk,
+.mp4, .log, .fit, .vbo, .gpx, .tcx, .kml, .ubx or .csv), or one file of it. The results go into a folder "smoothed"
+inside it: a report for your browser (report.html), tables, figures, and summary.json with everything that was found
+out. Nothing you recorded is changed, and no network is used.
 
 \b
     smooth monday/           smooth a session

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.export.channels import SIGMAS, Channel, lap_channels
+from smoother.export.channels import SIGMAS, Channel, lap_channels, logged_channels
 from smoother.export.rows import Rows
 from smoother.export.source import Source
 from smoother.export.text import PRODUCT, date_and_time, lap_clock, lines, quoted, start_stamp
@@ -63,7 +63,7 @@ def _channels(source: Source) -> list[Channel]:
     laps = [Channel(labels[c.name], c.column, c.unit, c.factor) for c in lap_channels(source)]
     known = [channel for channel in SIGMAS if source.has(channel.column)]
     sigmas = [Channel(c.name.replace("_", " ").title(), c.column, c.unit, c.factor) for c in known]
-    return [*laps, *sigmas]
+    return [*laps, *sigmas, *logged_channels(source, "aim")]
 
 
 def _head(source: Source) -> list[list[str]]:

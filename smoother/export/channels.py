@@ -1,6 +1,6 @@
 """The channels that formats with room for custom ones get, with the units that racers read."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,11 +59,66 @@ SIGMAS = (
 ALWAYS = ("accel_left_mps2", "accel_forward_mps2", "yaw_rate_dps", "distance_m")  # of the path, if of nothing else
 
 
+LOGGED_UNITS = {  # of channels of the logger, by the end of their columns
+    **{"c": "C", "f": "F", "k": "K", "pct": "%", "kmh": "km/h", "mps": "m/s", "mph": "mph", "rpm": "rpm", "bar": "bar"},
+    **{
+        "mbar": "mbar",
+        "kpa": "kPa",
+        "hpa": "hPa",
+        "psi": "psi",
+        "v": "V",
+        "mv": "mV",
+        "a": "A",
+        "w": "W",
+        "bpm": "bpm",
+    },
+    **{
+        "bpm": "bpm",
+        "deg": "deg",
+        "dps": "deg/s",
+        "g": "g",
+        "mps2": "m/s2",
+        "m": "m",
+        "mm": "mm",
+        "s": "s",
+        "nm": "Nm",
+    },
+}
+STANDARD: dict[str, dict[str, str]] = {  # channel of the logger: what programs call it
+    "rpm": {"motec": "Engine RPM", "aim": "RPM", "racechrono": "rpm"},
+    "throttle": {"motec": "Throttle Pos", "aim": "TPS", "racechrono": "throttle_pos"},
+    "water_temp": {"motec": "Engine Temp", "aim": "Water Temp", "racechrono": "coolant_temp"},
+    "steering": {"motec": "Steered Angle", "aim": "Steering Angle", "racechrono": "steering_angle"},
+    "brake": {"motec": "Brake Pos", "aim": "Brake Pos", "racechrono": "brake_pos"},
+    "heart_rate": {"motec": "Heart Rate", "aim": "Heart Rate", "racechrono": "heart_rate"},
+}
+
+
 def known_channels(source: Source) -> list[Channel]:
     """The channels of a session for formats without blanks: those known in every row, and the laps if there are any."""
     motion = [channel for channel in MOTION if channel.column in ALWAYS or source.has(channel.column)]
     sigmas = [channel for channel in SIGMAS if source.has(channel.column)]
-    return [*motion, DRIVEN, *lap_channels(source), *sigmas]
+    return [*motion, DRIVEN, *lap_channels(source), *sigmas, *logged_channels(source)]
+
+
+def logged_channels(source: Source, program: str = "plain") -> list[Channel]:
+    """The channels that the logger recorded beside the motion, under the names that a program has for them."""
+    found: list[Channel] = []
+    taken = {channel.name for channel in (*MOTION, *LAP, DRIVEN, *SIGMAS)}
+    for channel in (_logged(column, program) for column in source.survey.logged):
+        is_new = channel.name not in taken
+        found.append(channel if is_new else replace(channel, name=f"logged_{channel.column}"))
+        taken.add(found[-1].name)
+    return found
+
+
+def _logged(column: str, program: str) -> Channel:
+    name, _, suffix = column.rpartition("_")
+    unit = LOGGED_UNITS.get(suffix, "")
+    plain = name if unit and name else column
+    unit = unit or LOGGED_UNITS.get(column, "")
+    standard = STANDARD.get(plain, {}).get(program)
+    return Channel(standard or (plain if program == "plain" else plain.replace("_", " ").title()), column, unit)
 
 
 def lap_channels(source: Source) -> list[Channel]:

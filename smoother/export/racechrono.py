@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.export.channels import MOTION, SIGMAS, Channel, lap_channels
+from smoother.export.channels import MOTION, SIGMAS, STANDARD, Channel, lap_channels, logged_channels
 from smoother.export.rows import Rows
 from smoother.export.source import Source
 from smoother.export.text import PRODUCT, cells, date_and_time, lines, quoted
@@ -50,7 +50,10 @@ def _channels(source: Source) -> list[Channel]:
     laps = [channel for channel in lap_channels(source) if channel.name != "lap"]
     renamed = {"yaw_rate": "z_rate_of_rotation"}  # the kart's own axes: z is up
     motion = [Channel(renamed.get(c.name, c.name), c.column, c.unit, c.factor) for c in MOTION]
-    return [*motion, *laps, *SIGMAS]
+    logged = logged_channels(source)
+    names = [STANDARD.get(channel.name, {}).get("racechrono", channel.name) for channel in logged]
+    more = [Channel(name, c.column, c.unit) for name, c in zip(names, logged, strict=True)]
+    return [*motion, *laps, *SIGMAS, *more]
 
 
 def _preamble(source: Source) -> list[str]:

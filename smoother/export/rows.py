@@ -108,11 +108,18 @@ def _blocks(path: Path) -> Iterator[bytes]:
 def read_rows(path: Path) -> Iterator[Rows]:
     """Yield the numbers of trajectory.csv as blocks of rows; optional columns it does not have are NaN."""
     names = header_of(path)
-    present = [name for name in NUMBERS if name in names]
+    logged = logged_columns(names)
+    present = [*(name for name in NUMBERS if name in names), *logged]
     for frame in tables(path, present):
         known = {name: frame[name].fill_null(np.nan).to_numpy() for name in present}
         unknown = np.full(frame.height, np.nan)
-        yield Rows({name: known.get(name, unknown) for name in NUMBERS})
+        yield Rows({name: known.get(name, unknown) for name in (*NUMBERS, *logged)})
+
+
+def logged_columns(names: Sequence[str]) -> list[str]:
+    """The columns of trajectory.csv that are channels of the logger: those behind its own."""
+    behind = names.index("lap_distance_m") + 1 if "lap_distance_m" in names else len(names)
+    return list(names[behind:])
 
 
 def resampled(blocks: Iterator[Rows], rate: float, origin: Origin) -> Iterator[Rows]:

@@ -14,7 +14,7 @@ import polars as pl
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.export.rows import NUMBERS, REQUIRED, Rows, header_of, read_rows, resampled, with_motion
+from smoother.export.rows import NUMBERS, REQUIRED, Rows, header_of, logged_columns, read_rows, resampled, with_motion
 from smoother.frames import Origin
 from smoother.utc_clock import UtcClock
 
@@ -53,13 +53,14 @@ class BestLap:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What one pass over trajectory.csv tells: rows, first and last time s, rate Hz, complete columns."""
+    """What one pass over trajectory.csv tells: rows, first and last time s, rate Hz, complete and logged columns."""
 
     count: int
     start: float
     end: float
     rate: float
     complete: frozenset[str]
+    logged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +212,7 @@ def _survey(path: Path) -> Survey:
         raise SessionError(f"{path}: no rows; smooth the session again")
     if missing := [name for name in REQUIRED if name not in whole]:
         raise SessionError(f"{path}: {missing[0]} is not a number in every row; smooth the session again")
-    return Survey(count, start, end, rate, frozenset(whole))
+    return Survey(count, start, end, rate, frozenset(whole), tuple(logged_columns(names)))
 
 
 def _rate(t: Array) -> float:

@@ -55,7 +55,8 @@ def stated(config: SessionConfig, directory: Path, recording: Path | None = None
     """
     tracks = () if config.track is None else _named(config.track, directory)
     own = () if tracks or recording is None else _own(recording)
-    return Stated(tracks, _official(directory / OFFICIAL), own, () if tracks else _only_a_name(config.track))
+    official = _official(directory / OFFICIAL) or (() if recording is None else _of_beacon(recording))
+    return Stated(tracks, official, own, () if tracks else _only_a_name(config.track))
 
 
 def _named(track: str, directory: Path) -> tuple[TrackFile, ...]:
@@ -90,6 +91,21 @@ def _official(path: Path) -> tuple[float, ...]:
     return load_official(path)
 
 
+def _of_beacon(recording: Path) -> tuple[float, ...]:
+    """The lap times that the logger took itself, where the recording, a file or a folder, holds them."""
+    from smoother.session.files import list_files
+
+    try:
+        files = list_files(recording).foreign_files()
+    except SmootherError:  # results alone, or a folder of several recordings
+        return ()
+    if not files or files[0][0] not in ("xrk", "table"):
+        return ()
+    from smoother.session.readers.beacons import beacon_times
+
+    return beacon_times(*files[0])
+
+
 def _own(recording: Path) -> tuple[OwnLine, ...]:
     """The lines that the recording, a file or a folder, brings along: those of a VBO."""
     from smoother.session.files import list_files
@@ -101,7 +117,7 @@ def _own(recording: Path) -> tuple[OwnLine, ...]:
     if not files or files[0][0] != "vbo":
         return ()
     from smoother.laps.own_lines import OwnLine
-    from smoother.session.vbo import own_lines
+    from smoother.session.readers.vbo import own_lines
 
     orders = own_lines(files[0][1])
     return tuple(OwnLine(o[0].kind, tuple((line.first_deg, line.second_deg) for line in o)) for o in orders)

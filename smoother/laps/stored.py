@@ -13,11 +13,12 @@ from smoother.errors import SessionError
 from smoother.frames import Origin, geodetic_to_nwu, rotation_from_euler
 from smoother.laps.results import FixPath
 from smoother.laps.sigma import Drift
-from smoother.samples import Problem
+from smoother.samples import Channel, Problem
 from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
 from smoother.units import DEG
 from smoother.utc_clock import UtcClock
 
+LAST_COLUMN = "lap_distance_m"  # of the trajectory's own; channels of the logger stand behind it
 AXES = ("north", "west", "up")
 
 
@@ -34,6 +35,7 @@ class Stored:
     drift: Drift | None
     clock: UtcClock | None
     document: dict[str, Any]
+    channels: tuple[Channel, ...] = ()
 
     @property
     def rate(self) -> float:
@@ -54,7 +56,14 @@ def read_stored(directory: Path, origin: Origin | None = None) -> Stored:
         clock = UtcClock.of_summary(document["session"])
     except (OSError, ValueError, KeyError, TypeError, pl.exceptions.PolarsError) as error:
         raise SessionError(f"{directory}: damaged results ({error}); smooth the session again") from error
-    return Stored(trajectory, path, origin or own, stored_drift(document), clock, document)
+    channels = tuple(_channel(name, rows) for name in list(rows)[list(rows).index(LAST_COLUMN) + 1 :])
+    return Stored(trajectory, path, origin or own, stored_drift(document), clock, document, channels)
+
+
+def _channel(name: str, rows: dict[str, Array]) -> Channel:
+    """A channel of the logger, where it is known."""
+    known = np.isfinite(rows[name])
+    return Channel(name, "", rows["t_s"][known], rows[name][known])
 
 
 def stored_drift(document: dict[str, Any]) -> Drift | None:

@@ -21,8 +21,11 @@ from smoother.report.files import replacing
 from smoother.report.page_charts import grip, linked, picker, settings, styled
 from smoother.report.page_data import (
     Document,
+    channel_traces,
+    chosen_channels,
     cloud,
     corner_marks,
+    described,
     gates,
     grid_columns,
     lap_traces,
@@ -138,10 +141,13 @@ def _numbers(drawn: list[tuple[Compared, list[int]]]) -> Document:
     middle = np.asarray(np.median(first.stored.trajectory.position_n[:, :2], axis=0))
     columns = grid_columns(first.stored.trajectory, first.analysis.traces)
     parts = []
+    shared = {channel.name: channel for one, _ in drawn for channel in chosen_channels(one.stored.channels)}
     for one, laps in drawn:
         assert one.analysis.traces is not None
         part = lap_traces(one.analysis.traces, one.stored.trajectory, middle, laps, columns)
         is_reference = [i == one.reference for i in laps]
+        cut = np.ix_(np.array(laps), columns)
+        part |= channel_traces([c for c in one.stored.channels if c.name in shared], one.analysis.traces.t[cut])
         part["delta_sigma"] = np.where(np.array(is_reference)[:, None], 0.0, part["delta_sigma"])
         parts.append(part)
     shape = {name: [len(part["x"]) for part in parts] for name in {name for part in parts for name in part}}
@@ -150,6 +156,7 @@ def _numbers(drawn: list[tuple[Compared, list[int]]]) -> Document:
     best = min(range(len(drawn)), key=lambda k: drawn[k][0].analysis.laps[drawn[k][1][0]].time)
     return {
         "axis": "distance",
+        "channels": described(list(shared.values())),
         "grid": packed(first.analysis.traces.distance[columns]),
         "points": len(columns) - 1,
         "traces": {name: packed(values) for name, values in named.items()},

@@ -7,7 +7,7 @@ Refuses to compute anything: what is not in the trajectory or in the session is 
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 
@@ -20,7 +20,8 @@ from smoother.documents import replacing as replacing
 from smoother.estimate.true_time import clock_of_fixes
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.laps.document import LapColumns
-from smoother.samples import Session
+from smoother.report.channels import channel_at
+from smoother.samples import Channel, Session
 from smoother.trajectory import FixResiduals, Sigmas, Trajectory
 from smoother.units import DEG
 from smoother.utc_clock import UtcClock
@@ -34,13 +35,24 @@ Columns = dict[str, Array]
 
 
 def write_trajectory(
-    path: Path, trajectory: Trajectory, origin: Origin, clock: UtcClock | None, laps: LapColumns | None = None
+    path: Path,
+    trajectory: Trajectory,
+    origin: Origin,
+    clock: UtcClock | None,
+    laps: LapColumns | None = None,
+    channels: Sequence[Channel] = (),
 ) -> None:
-    """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`; large ones in parts."""
+    """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`; large ones in parts.
+
+    channels : what was logged beside the motion, a column each behind those.
+    """
     with replacing(path) as temporary, temporary.open("wb") as file:
         for part in [*pieces(len(trajectory), TOGETHER)] or [slice(0)]:
             of_part = None if laps is None else (laps[0][part], laps[1][part])
-            table = trajectory_table(trajectory.rows(part), origin, clock, of_part)
+            rows = trajectory.rows(part)
+            table = trajectory_table(rows, origin, clock, of_part)
+            logged = {channel.name: _rounded(channel_at(channel, rows.t), DIGITS) for channel in channels}
+            table = table.with_columns(pl.Series(name, values) for name, values in logged.items())
             table.write_csv(file, include_header=part.start in (None, 0))
             release(trajectory)
 

@@ -51,7 +51,7 @@ def linked(numbers: Document) -> Element:
     """Map with readout, and traces with the slider that moves through them."""
     return element(
         "div",
-        element("div", figure("map", "Map of the laps, coloured by speed"), _readout(), class_="stay"),
+        element("div", figure("map", "Map of the laps, coloured by speed"), _readout(numbers), class_="stay"),
         element("div", _slider(numbers), figure("traces", "Speed, time lost, accelerations and line over the track")),
         class_="linked",
     )
@@ -90,9 +90,11 @@ def _slider(numbers: Document) -> Element:
     return element("div", element("div", label, where, class_="settings"), element("p", keys, class_="keys"))
 
 
-def _readout() -> Element:
+def _readout(numbers: Document) -> Element:
     unit = element("span", "km/h", class_="speed-unit")
-    heads = ("lost (s)", "line (m)", "drive (g)", "side (g)")
+    channels = numbers.get("channels", [])
+    assert isinstance(channels, list)
+    heads = ("lost (s)", "line (m)", "drive (g)", "side (g)", *(channel["title"] for channel in channels))
     head = element("tr", element("th", "lap"), element("th", unit), *(element("th", name) for name in heads))
     body = element("tbody", id="readout")
     return element("div", element("table", element("thead", head), body), class_="scroll readout")

@@ -5,6 +5,7 @@ trace is (L, M): L laps over a common grid of track distance, or the whole sessi
 """
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,9 @@ from smoother.arrays import Array, IntArray
 from smoother.laps.path import level_acceleration
 from smoother.laps.results import Lap, LapAnalysis, Line, ReferenceLine, Traces
 from smoother.laps.top_speed import speed_sigma, sure_rows
+from smoother.report.channels import channel_at
 from smoother.report.summary import fastest_row
-from smoother.samples import Session
+from smoother.samples import Channel, Session
 from smoother.trajectory import Trajectory
 from smoother.units import DEG, STANDARD_GRAVITY
 
@@ -29,6 +31,8 @@ MOST_DRAWN = 300  # laps, five hours of them; a page with a day's would take a b
 MOST_ROWS = 150_000  # of the whole session where it has no laps, four hours at their usual rate
 MOST_SLOW = 60_000  # of what is drawn of quality over time, likewise
 SHADES = 16
+MOST_CHANNELS = 12  # of the logger that are drawn below one another
+FIRST_CHANNELS = ("rpm", "throttle", "brake", "steering", "gear", "water", "temp", "lambda", "pressure", "heart")
 OF_LINE = ("offset", "offset_sigma", "is_off")
 Document = dict[str, object]
 
@@ -63,6 +67,7 @@ def page_data(numbers: Numbers) -> Document:
     shown = _whole_session(numbers) if numbers.traces is None else _laps(numbers, numbers.traces)
     return {
         **shown,
+        "channels": described(shown_channels(numbers)),
         "palette": palette(),
         "gates": gates(numbers.laps, numbers.middle),
         "cloud": cloud(numbers.smoothed),
@@ -110,6 +115,7 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
     drawn = drawn_laps(laps)
     columns = grid_columns(numbers.smoothed, traces)
     named = lap_traces(traces, numbers.smoothed, numbers.middle, drawn, columns)
+    named |= channel_traces(shown_channels(numbers), traces.t[np.ix_(np.array(drawn), columns)])
     if sum(lap.is_valid for lap in laps.laps) < 2:  # beside the mean of one lap there is nothing to see
         named = {name: values for name, values in named.items() if name not in OF_LINE}
     main = drawn.index(main_lap(laps))
@@ -127,6 +133,35 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
         "stretches": [list(part) for _, part in stretches(laps)],
         "mean_line": None if laps.reference is None else mean_line(laps.reference, numbers.middle),
     }
+
+
+def shown_channels(numbers: Numbers) -> list[Channel]:
+    """Return the channels of the logger that are drawn: no more than a page has room for, those of racers first."""
+    return chosen_channels(numbers.session.channels)
+
+
+def chosen_channels(channels: Sequence[Channel]) -> list[Channel]:
+    """Return those of the channels that are drawn, the ones that racers look at first."""
+
+    def place(channel: Channel) -> int:
+        return next((i for i, word in enumerate(FIRST_CHANNELS) if word in channel.name), len(FIRST_CHANNELS))
+
+    return sorted(channels, key=place)[:MOST_CHANNELS]
+
+
+def described(channels: Sequence[Channel]) -> list[Document]:
+    """Return the names of the traces of channels, and what they are called above these."""
+    return [{"name": trace_of(channel.name), "title": channel.name.replace("_", " ")} for channel in channels]
+
+
+def trace_of(name: str) -> str:
+    """Return what the trace of a channel is called, unlike any other trace."""
+    return f"logged {name}"
+
+
+def channel_traces(channels: Sequence[Channel], t: Array) -> dict[str, Array]:
+    """Return the channels at times t of any shape, NaN in their holes, by their names."""
+    return {trace_of(channel.name): channel_at(channel, np.nan_to_num(t, nan=-np.inf)) for channel in channels}
 
 
 def grid_columns(smoothed: Trajectory, traces: Traces) -> IntArray:
@@ -261,6 +296,7 @@ def _whole_session(numbers: Numbers) -> Document:
         "longitudinal": acceleration[:, 0],
         "sideways": acceleration[:, 1],
         **_sureness(smoothed, smoothed.t[rows]),
+        **channel_traces(shown_channels(numbers), smoothed.t[rows]),
     }
     return {
         "axis": "time",

@@ -9,11 +9,12 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.samples import Problem, RawMag, WheelSpeed
+from smoother.samples import Channel, Problem, RawMag, WheelSpeed
 from smoother.session.checks.table import Check, Finding, OneStream, dropped, run
 from smoother.session.csv_form import problems_of_table, require_clock
+from smoother.session.readers.channels import channel_of, distinct
 from smoother.session.rows import in_time_order
-from smoother.session.tables import read_table
+from smoother.session.tables import read_header, read_table
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, unit_by_rate
 
 FIELD_COLUMNS = ("mx", "my", "mz")
@@ -55,6 +56,17 @@ def read_wheel_speed(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[Wheel
     return WheelSpeed(rows.t, rows.values[:, 0]), said
 
 
+def read_channels(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[tuple[Channel, ...], list[Problem]]:
+    """Read channels.csv: t_s and any columns of numbers, called with their unit, as water_temp_c.
+
+    A cell may be empty where a channel has no new value. Raises SessionError as :func:`read_mag`.
+    """
+    names = [name for name in read_header(path) if name != "t_s" and name[:1].isalpha()]
+    rows, said = _read(path, names, "channels", clock, CHANNEL_CHECKS)
+    found = [channel_of(name, "", rows.t, rows.values[:, i]) for i, name in enumerate(names)]
+    return distinct(channel for channel in found if channel is not None), said
+
+
 def _read(
     path: Path, names: Sequence[str], prefix: str, clock: SessionClock, checks: Sequence[Check[OneStream]]
 ) -> tuple["_Rows", list[Problem]]:
@@ -87,6 +99,10 @@ def _unreadable(s: OneStream) -> Finding | None:
     )
 
 
+def _untimed(s: OneStream) -> Finding | None:
+    return dropped(~np.isfinite(s.rows.t), "without a time")
+
+
 def _of_zero(s: OneStream) -> Finding | None:
     return dropped(np.all(s.rows.values == 0.0, axis=1), "of exactly zero on all axes")
 
@@ -100,6 +116,7 @@ MAG_CHECKS = (
     Check("mag_zero", "mag", (), _of_zero),
     Check("mag_absurd", "mag", (), partial(_absurd, -ABSURD_FIELD, ABSURD_FIELD, "with a field no sensor can read")),
 )
+CHANNEL_CHECKS = (Check("channels_invalid", "channels", (), _untimed),)
 WHEEL_CHECKS = (
     Check("wheel_speed_invalid", "wheel_speed", (), _unreadable),
     Check("wheel_speed_absurd", "wheel_speed", (), partial(_absurd, 0.0, ABSURD_SPEED, "with a speed no wheel has")),

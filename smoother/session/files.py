@@ -8,13 +8,18 @@ from typing import Literal
 
 from smoother.errors import SessionError
 from smoother.session.encoding import in_utf8
-from smoother.session.table_layout import layout_of
+from smoother.session.readers.layout import Layout, layout_of
+from smoother.session.readers.unknown_table import about_table, has_times_only, holds_places
 from smoother.session.tables import read_header
-from smoother.session.unknown_table import about_table, holds_places
 
-Foreign = Literal["vbo", "racechrono", "aim", "gpx", "ubx", "table"]
-Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx", "ubx", "table"]
-FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx", "ubx", "table")  # what holds most stands first
+Foreign = Literal["xrk", "vbo", "gopro", "track", "ubx", "table", "fit"]
+Role = Literal["log", "out", "fixes", "imu", "sentences", "archive"] | Foreign
+FOREIGN: tuple[Foreign, ...] = ("xrk", "vbo", "gopro", "track", "ubx", "table", "fit")  # what holds most stands first
+OF_SUFFIX: dict[str, Foreign] = {  # of files that are what they are called
+    **dict.fromkeys((".xrk", ".xrz", ".drk"), "xrk"),
+    **dict.fromkeys((".gpx", ".tcx", ".kml"), "track"),
+    **{".vbo": "vbo", ".fit": "fit"},
+}
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 IMU_NAMES = ("imu.csv", "imu.csv.gz")
 OF_A_SESSION = (
@@ -22,6 +27,8 @@ OF_A_SESSION = (
     "mag.csv.gz",
     "wheel_speed.csv",
     "wheel_speed.csv.gz",
+    "channels.csv",
+    "channels.csv.gz",
     "official.csv",
 )  # tables that stand for the session they lie beside
 OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
@@ -37,21 +44,26 @@ WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as
     "fixes": "gps.csv",
     "imu": "imu.csv with fixes",
     "sentences": "*.nmea",
+    "xrk": "*.xrk",
     "vbo": "*.vbo",
-    "racechrono": "RaceChrono .csv",
-    "aim": "AiM .csv",
-    "gpx": "*.gpx",
+    "gopro": "a GoPro's *.mp4",
+    "track": "*.gpx, *.tcx, *.kml",
     "ubx": "*.ubx",
+    "fit": "*.fit",
+    "archive": "a .zip of these",
     "table": "a .csv with latitude, longitude and time",
 }
 SENTENCE_LINE = re.compile(rb"\s*(?:[-+0-9.eE]+[ \t]*,[ \t]*)?\$[GP][A-Z]{3,5},")  # maybe with the time it came
 UBX_SYNC = b"\xb5\x62"
-TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
+TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".log")
+VIDEO_SUFFIX, OF_CAMERA = ".mp4", b"GoPro"
+CAMERA_BYTES = 8 << 20  # at either end of a video, in which the maker of its streams stands
 LARGE = 1 << 30  # bytes of a file, of which at least
 STORED_SHARE = 0.02  # is on the disk: no text packs so well
 LARGEST = 64 << 30  # bytes; a month of samples in a table has less
-RECORDING_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".nmea", LOG_SUFFIX, ".vbo", ".gpx", ".ubx", OUT_NAME)
-PACKED_SUFFIXES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")
+RECORDING_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".nmea", LOG_SUFFIX, ".ubx", *OF_SUFFIX, OUT_NAME)
+ARCHIVE_SUFFIX = ".zip"
+PACKED_SUFFIXES = (".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")
 
 
 @dataclass(frozen=True)
@@ -142,6 +154,21 @@ class SessionFiles:
         found = [(kind, path) for path in paths if (kind := foreign_kind(path)) is not None]
         return sorted(found, key=lambda file: (FOREIGN.index(file[0]), -file[1].stat().st_size, file[1].name))
 
+    def of_kind(self, kind: Foreign) -> list[Path]:
+        """All recordings of a kind in the folder, whichever was named."""
+        return [path for path in (self.directory / name for name in self.names) if foreign_kind(path) == kind]
+
+    def sensor_tables(self) -> list[Path]:
+        """The tables of another program in the folder that hold a motion sensor's values and no places."""
+        paths = [self.directory / name for name in self.names if name.lower() not in OWN_NAMES]
+        return [path for path in paths if (found := table_layout(path)) is not None and not found.has_places]
+
+    def archives(self) -> list[Path]:
+        """The archive that was named, or those in a folder."""
+        if self.chosen is not None:
+            return [self.chosen[0]] if self.chosen[1] == "archive" else []
+        return [self.directory / name for name in self.names if name.lower().endswith(ARCHIVE_SUFFIX)]
+
     def unnamed_sentences(self) -> Path | None:
         """A file with NMEA sentences that is not called so, and is read only if a person names it."""
         paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
@@ -154,6 +181,11 @@ class SessionFiles:
     def unknown_table(self) -> Path | None:
         """A table with places that no reader knows."""
         return next((path for name in self.names if holds_places(path := self.directory / name)), None)
+
+    def table_without_places(self) -> Path | None:
+        """Another program's table with times, exported without the channels of the GPS."""
+        paths = (self.directory / name for name in self.names if name.lower() not in (*OWN_NAMES, *OF_A_SESSION))
+        return next((path for path in paths if has_times_only(path)), None)
 
     def recordings(self) -> list[Path]:
         """Every file that a recording is read from, or would be if a person named it; what all others lie beside."""
@@ -268,28 +300,38 @@ def _holds_fixes(path: Path) -> bool:
 def foreign_kind(path: Path) -> Foreign | None:
     """Which other program's recording a file is; tables are told apart by their first lines."""
     name = path.name.lower()
-    if name.endswith(".vbo"):
-        return "vbo"
-    if name.endswith(".gpx"):
-        return "gpx"
+    if (kind := OF_SUFFIX.get(path.suffix.lower())) is not None:
+        return kind
+    if name.endswith(VIDEO_SUFFIX):
+        return "gopro" if _is_of_camera(path) else None
     if name.endswith(".ubx"):
         return "ubx" if _shows_messages(path) else None
-    if not name.endswith(TABLE_SUFFIXES):
+    layout = table_layout(path)
+    return "table" if layout is not None and layout.has_places else None
+
+
+def table_layout(path: Path) -> Layout | None:
+    """The layout of a file that is a table of motion by its first lines; None of any other."""
+    if not path.name.lower().endswith(TABLE_SUFFIXES):
         return None
     try:
         with path.open("rb") as file:
             head = in_utf8(file.read(TABLE_BYTES)).decode("utf-8", errors="replace").lstrip("\ufeff \r\n")
     except OSError:
         return None  # whoever needs the file will say so
-    first, lower = head.partition("\n")[0].lower(), head[:HEAD_BYTES].lower()
-    is_racechrono = first.startswith("this file is created using")
-    if "\nformat,3" in lower:
-        return "racechrono"
-    if "aim csv file" in first:
-        return "aim"
-    if layout_of(head) is not None:
-        return "table"
-    return "racechrono" if is_racechrono else None
+    return layout_of(head, path.stem)
+
+
+def _is_of_camera(path: Path) -> bool:
+    """Whether a video is of a camera that writes telemetry."""
+    try:
+        with path.open("rb") as file:
+            if OF_CAMERA in file.read(CAMERA_BYTES):
+                return True
+            file.seek(max(0, path.stat().st_size - CAMERA_BYTES))
+            return OF_CAMERA in file.read(CAMERA_BYTES)
+    except OSError:
+        return False
 
 
 def is_of_sentences(path: Path) -> bool:
@@ -323,6 +365,8 @@ def _role(path: Path) -> Role | None:
         return "sentences"
     if name.endswith(LOG_SUFFIX):
         return "log"
+    if name.endswith(ARCHIVE_SUFFIX):
+        return "archive"
     if name.endswith(".toml") or name in ("magcalib.txt", "mag_calib.txt"):
         return None
     from smoother.session.log_format import MAGIC  # the types beside it are for those who read a log

@@ -8,18 +8,18 @@ go together, are sorted out here; what a file holds is for its own module.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from smoother.errors import SessionError
-from smoother.samples import GnssFixes, Problem
-from smoother.session.files import IMU_NAMES, Foreign, SessionFiles
+from smoother.samples import Channel, GnssFixes, Problem
+from smoother.session.files import IMU_NAMES, Foreign, SessionFiles, list_files
 from smoother.session.recording import Recording
 
 if TYPE_CHECKING:
-    from smoother.session.foreign import ForeignReading
     from smoother.session.log import LogFiles
+    from smoother.session.readers.foreign import ForeignReading
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,15 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
-    from smoother.session.beside import SessionClock, read_mag, read_wheel_speed
+    from smoother.session.beside import SessionClock, read_channels, read_mag, read_wheel_speed
     from smoother.session.csv_form import read_imu_and_unit
     from smoother.session.tables import NoRowsError
     from smoother.session.time_unit import lasts_like
 
     imu_table = files.imu_table()
-    mag_table, wheel_table = (files.find(f"{name}.csv", f"{name}.csv.gz") for name in ("mag", "wheel_speed"))
+    mag_table, wheel_table, channel_table = (
+        files.find(f"{name}.csv", f"{name}.csv.gz") for name in ("mag", "wheel_speed", "channels")
+    )
     imu, mag, wheel, unit = None, None, None, None
     problems: list[Problem] = []
     if imu_table is not None:
@@ -125,9 +127,19 @@ def _read_columns(files: SessionFiles) -> Recording:
             problems += said
         except SessionError as error:
             problems.append(Problem("wheel_speed_unusable", f"{error}; smoothed without wheel speed"))
-    inputs = tuple(file.name for file in (imu_table, gnss_file, mag_table, wheel_table) if file is not None)
+    channels: tuple[Channel, ...] = ()
+    if channel_table is not None:
+        try:
+            channels, said = read_channels(channel_table, clock)
+            problems += said
+        except SessionError as error:
+            problems.append(Problem("channels_unusable", f"{error}; smoothed without channels"))
+    tables = (imu_table, gnss_file, mag_table, wheel_table, channel_table)
+    inputs = tuple(file.name for file in tables if file is not None)
     imu_file = imu_table.name if imu_table is not None else ""
-    return Recording(gnss, gnss_file.name, inputs, tuple(problems), imu, imu_file, mag, wheel_speed=wheel)
+    return Recording(
+        gnss, gnss_file.name, inputs, tuple(problems), imu, imu_file, mag, wheel_speed=wheel, channels=channels
+    )
 
 
 def _require_one_run(imu: str, fixes: str, of_imu: Sequence[Problem], of_fixes: Sequence[Problem]) -> None:
@@ -163,53 +175,68 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) ->
     return reading.gnss, log, problems
 
 
-def _foreign_reader(kind: Foreign) -> Callable[[Path], ForeignReading]:
-    match kind:
-        case "vbo":
-            from smoother.session.vbo import read_vbo
-
-            return read_vbo
-        case "racechrono":
-            from smoother.session.racechrono import read_racechrono
-
-            return read_racechrono
-        case "aim":
-            from smoother.session.aim import read_aim
-
-            return read_aim
-        case "gpx":
-            from smoother.session.gpx import read_gpx
-
-            return read_gpx
-        case "ubx":
-            from smoother.session.ubx import read_ubx
-
-            return read_ubx
-        case "table":
-            from smoother.session.named_table import read_named_table
-
-            return read_named_table
-
-
 def _read_foreign(files: SessionFiles) -> Recording:
     """A recording of another program, which stands in place of gps.csv and imu.csv."""
+    from smoother.session.readers.sets import KINDS, chapters_of, read_native, read_tables, sensors_of
+
     (kind, path), *others = files.foreign_files()
-    reading = _foreign_reader(kind)(path)
-    problems = list(reading.problems)
-    if others:
-        text = preferred(path.name, [other for _, other in others])
-        problems.append(Problem("gps_other_logs", text, len(others)))
+    paths, rest = [path], [other for _, other in others]
+    if kind == "gopro":
+        paths = chapters_of(path, files.of_kind(kind))
+    elif kind == "table":
+        alike = [other for other in files.of_kind(kind) if other != path]
+        paths = [path, *sensors_of(path, files.sensor_tables(), alike)]
+    if kind in KINDS:
+        reading = read_native(kind, paths)
+    elif kind == "table":
+        reading = read_tables(path, paths[1:])
+    else:
+        reading = _reader_of_one(kind)(path)
+    problems, rest = list(reading.problems), [other for other in rest if other not in paths]
+    if rest:
+        problems.append(Problem("gps_other_logs", preferred(path.name, rest), len(rest)))
     if (table := files.imu_table()) is not None:
         problems.append(Problem("imu_unused", f"{table.name} is not used: it has not the clock of {path.name}"))
+    names = tuple(one.name for one in paths)
     return Recording(
         reading.gnss,
         path.name,
-        (path.name,),
+        names,
         tuple(problems),
         reading.imu,
         path.name,
         unix_at_zero=reading.unix_at_zero,
+        channels=reading.channels,
     )
+
+
+def _reader_of_one(kind: Foreign) -> Callable[[Path], ForeignReading]:
+    """The reader of a kind of which a recording is one file."""
+    if kind == "vbo":
+        from smoother.session.readers.vbo import read_vbo
+
+        return read_vbo
+    if kind == "ubx":
+        from smoother.session.readers.ubx import read_ubx
+
+        return read_ubx
+    from smoother.session.readers.tracks import read_track
+
+    return read_track
+
+
+def _read_archive(files: SessionFiles) -> Recording:
+    """A recording in an archive, as a phone's logger shares it."""
+    from smoother.session.readers.sets import unpacked
+
+    archive = files.archives()[0]
+    with unpacked(archive) as folder:
+        inside = list_files(folder)
+        form = next((form for form in FORMATS[:-1] if form.recognises(inside)), None)
+        if form is None:
+            raise SessionError(f"{archive.name}: no recording in it; unpack it, then name what was in it")
+        recording = form.read(inside)
+    return replace(recording, inputs=(archive.name,))
 
 
 def _own_of_columns(files: SessionFiles) -> list[Path]:
@@ -232,4 +259,5 @@ FORMATS: tuple[Format, ...] = (
         _own_of_columns,
     ),
     Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign, _own_of_foreign),
+    Format("archive", lambda files: bool(files.archives()), _read_archive, SessionFiles.archives),
 )

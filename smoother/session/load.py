@@ -17,9 +17,9 @@ from smoother.errors import SessionError
 from smoother.samples import Problem, RawSession
 from smoother.session.files import OF_A_SESSION, OWN_NAMES, RESULTS, SessionFiles, is_packed, list_files, wanted
 from smoother.session.formats import FORMATS, Format, preferred
+from smoother.session.readers.unknown_table import about_table
 from smoother.session.recording import Recording, finish
 from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
-from smoother.session.unknown_table import about_table
 
 if TYPE_CHECKING:
     from smoother.session.log import LogFiles
@@ -63,6 +63,8 @@ def load_raw(path: Path) -> RawSession:
             f"name the file, smooth {shlex.quote(str(own))}, or call it gps.csv"
         )
     if (table := files.unknown_table()) is not None:
+        raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
+    if (table := files.table_without_places()) is not None:
         raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
     broken = "".join(f" ({name} is {kind})" for name, kind in files.broken_recordings().items())
     raise SessionError(f"{path}: no recording found{broken}; wanted {wanted()}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from smoother.arrays import Array
-from smoother.samples import GnssFixes, Problem, RawImu, RawMag, WheelSpeed
+from smoother.samples import Channel, GnssFixes, Problem, RawImu, RawMag, WheelSpeed
 
 # what checks call the streams
 STREAMS: Mapping[str, str] = {"fixes": "gnss", "imu": "imu", "mag": "mag", "wheel_speed": "wheel_speed"}
@@ -26,6 +26,7 @@ class Recording:
     unix_at_zero: float | None = None  # where the file tells it, but not with each fix
     imu_delay: float | None = None  # s, of the low-pass before the sampling, where the file tells it; it is taken off
     wheel_speed: WheelSpeed | None = None
+    channels: tuple[Channel, ...] = ()
     date: str | None = None  # that a person stated (ISO 8601)
 
     @property

@@ -67,6 +67,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         imu=recording.imu,
         mag=None if mag is None or mag.t.size == 0 else replace(mag, t=regularize(mag.t).t),
         wheel_speed=recording.wheel_speed,
+        channels=recording.channels,
         mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),

@@ -19,7 +19,7 @@ from smoother.cli.main import run
 from smoother.cli.pipeline import Options
 from smoother.export.formats import BY_NAME
 from smoother.frames import Origin, geodetic_to_nwu
-from smoother.session.vbo import read_vbo
+from smoother.session.readers.vbo import read_vbo
 
 Captured = pytest.CaptureFixture[str]
 

@@ -30,10 +30,10 @@ from hypothesis import strategies as st
 from smoother.export.formats import BY_NAME
 from smoother.export.source import open_source
 from smoother.frames import rotation_from_euler
-from smoother.session.aim import read_aim
-from smoother.session.gpx import read_gpx
-from smoother.session.racechrono import read_racechrono
-from smoother.session.vbo import own_lines, read_vbo
+from smoother.session.readers.table import read_table as read_aim
+from smoother.session.readers.table import read_table as read_racechrono
+from smoother.session.readers.tracks import read_track as read_gpx
+from smoother.session.readers.vbo import own_lines, read_vbo
 from smoother.units import DEG, KMH, STANDARD_GRAVITY
 
 Factory = Callable[[Any, Path], Path]

@@ -15,7 +15,7 @@ from smoother.export import vbo
 from smoother.export.gates import timing_gates
 from smoother.export.rows import Rows
 from smoother.export.source import Source, open_source
-from smoother.session.vbo import own_lines, read_vbo
+from smoother.session.readers.vbo import own_lines, read_vbo
 
 Factory = Callable[[Any, Path], Path]
 

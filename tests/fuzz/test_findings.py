@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzz_corpus import CORPUS, FIXES, gpx_points, write_files
+from smoother.session.readers.gpx import read_gpx
 
 from smoother.calibration import load_calibration
 from smoother.errors import ConfigError, SessionError
 from smoother.laps.tracks import load_tracks, named_tracks
 from smoother.session.files import list_files
-from smoother.session.gpx import read_gpx
 from smoother.session.load import load_raw
+from smoother.session.readers.vbo import read_vbo
 from smoother.session.settings import load_settings
-from smoother.session.vbo import read_vbo
 
 LONG = "1" * 400  # a whole number of TOML and JSON may be longer than any float
 DEEP = 100_000

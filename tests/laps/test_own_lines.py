@@ -10,7 +10,7 @@ from smoother.laps.own_lines import Ends, OwnLine, trusted_lines
 from smoother.laps.path import plan_path
 from smoother.laps.results import GivenLines
 from smoother.samples import Problem
-from smoother.session.vbo import own_lines
+from smoother.session.readers.vbo import own_lines
 from smoother.trajectory import Trajectory
 
 ORIGIN = Origin(44.8, 11.2, 10.0)

@@ -9,7 +9,7 @@ import pytest
 
 from smoother.cli.main import run
 from smoother.errors import SessionError
-from smoother.session.foreign import ForeignReading
+from smoother.session.readers.foreign import ForeignReading
 
 Read = Callable[[Path], ForeignReading]
 

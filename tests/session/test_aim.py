@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smoother.session.aim import read_aim
 from smoother.session.load import load_raw
+from smoother.session.readers.table import read_table as read_aim
 
 from .readers import assert_outlives_damage, assert_refused
 
@@ -161,10 +161,8 @@ def test_a_folder_with_the_file_is_a_session_of_fixes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('"Format","AiM CSV File"\r\n', "no rows; not, or not a whole, AiM CSV"),
         (table([]), "a header, but no rows"),
         (table([values(k)[:9] for k in range(9)]), "rows have 9 values, but 14 columns are named"),
-        (table([values(k) for k in range(9)], names=(*NAMES[:7], "Lat", "Lon", *NAMES[9:])), "no channel Gps Latitude"),
         (table([values(0)] * 50), "rows repeat the time of another"),
         (table([(f"{1e-5 * k:.5f}", *values(k)[1:]) for k in range(50)]), "fixes a second, which no receiver makes"),
     ],

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from smoother.errors import SessionError
-from smoother.session.gpx import read_gpx
 from smoother.session.load import load_raw
+from smoother.session.readers.tracks import read_track as read_gpx
 
 from .readers import assert_outlives_damage, assert_refused
 

@@ -96,17 +96,17 @@ def test_of_several_logs_the_largest_is_used_and_the_others_are_named(folder: Fo
 
 
 def test_every_kind_that_is_read_is_named_where_none_is_found(folder: Folder) -> None:
-    assert list(WANTED) == list(get_args(Role))
+    assert set(WANTED) == {role for part in get_args(Role) for role in get_args(part)}
     folder.write(notes__md="nothing")
     for file in ("", "notes.md"):
         with pytest.raises(
             SessionError,
-            match=r"\*\.klg, out\.txt, gps\.csv, .*\*\.vbo, .* \*\.ubx or a \.csv with latitude, longitude and time$",
+            match=r"\*\.klg, out\.txt, gps\.csv, .*\*\.vbo, .*\.ubx, .* or a \.csv with latitude, longitude and time$",
         ):
             folder.load(file)
 
 
-@pytest.mark.parametrize("name", ["day.zip", "day.tar.gz", "DAY.7Z"])
+@pytest.mark.parametrize("name", ["day.tar.gz", "DAY.7Z"])
 def test_what_is_packed_is_to_be_unpacked_first(folder: Folder, name: str) -> None:
     folder.write(**{name: b"PK\3\4 and the rest"})
     for file in ("", name):
@@ -267,8 +267,8 @@ UNKNOWN = "Format,some CSV\nLaps,1\nRecord,Stamp,Latitude,Longitude,Speed\n1,10:
 def test_a_table_that_no_reader_knows_is_named_with_its_columns_and_what_is_wanted(folder: Folder, beside: str) -> None:
     folder.write(**{"heat.csv": UNKNOWN}, **({beside: gps_csv()} if beside else {}))
     columns = (
-        r"its columns are Record, Stamp, Latitude, Longitude, Speed; wanted t_s \(seconds\), lat_deg and lon_deg: "
-        r"rename Latitude and Longitude and the times, and leave out the 2 lines before the names"
+        r"its columns are Record, Stamp, Latitude, Longitude, Speed: no column says when; add one called time, "
+        r"in seconds or as 10:00:00.2"
     )
     with pytest.raises(SessionError, match=rf"heat.csv: no known kind of recording; {columns}"):
         folder.load("heat.csv")
@@ -279,7 +279,7 @@ def test_a_table_that_no_reader_knows_is_named_with_its_columns_and_what_is_want
 
 def test_a_table_without_places_is_named_too(folder: Folder) -> None:
     folder.write(gps__csv=gps_csv(), **{"Gyroscope.csv": "time,z,y,x\n0,0,0,0\n", "empty.csv": ""})
-    with pytest.raises(SessionError, match=r"Gyroscope.csv: .*its columns are time, z, y, x; wanted t_s .* gx, gy, gz"):
+    with pytest.raises(SessionError, match=r"Gyroscope.csv: .*its columns are time, z, y, x: none says where; expor"):
         folder.load("Gyroscope.csv")
     with pytest.raises(SessionError, match=r"empty.csv: .*it is empty"):
         folder.load("empty.csv")

@@ -11,9 +11,9 @@ import pytest
 
 from smoother.errors import SessionError
 from smoother.session.checks.imu import USABLE
-from smoother.session.foreign import ForeignReading
 from smoother.session.load import load_raw
-from smoother.session.named_table import read_named_table
+from smoother.session.readers.foreign import ForeignReading
+from smoother.session.readers.table import read_table as read_named_table
 from smoother.units import DEG, STANDARD_GRAVITY
 
 from .checked import checked
@@ -376,8 +376,8 @@ def test_a_table_in_a_text_file_is_read_too(tmp_path: Path) -> None:
     [
         ("Time,Latitude,Longitude\nnow,45.0,12.0\nthen,45.1,12.0\n", "its times, as now, are not understood"),
         ("Time,Latitude,Longitude\n", "a header, but no rows; was the recording started?"),
-        ("Time,Latitude,Longitude\n1,45.0,12.0,7,7\n", "no known kind of recording"),
-        ("Time,Latitude,Longitude\n1,45 07.1N,012 03.2E\n", "no known kind of recording"),
+        ("Time,Latitude,Longitude\n1,45.0,12.0,7,7\n", "rows have 5 values, but 3 columns are named; mend the line"),
+        ("Time,Latitude,Longitude\n1,north,east\n", "no known kind of recording"),
         ("Lap,Latitude,Longitude\n1,45.0,12.0\n", "no known kind of recording"),
     ],
 )
@@ -417,9 +417,8 @@ def test_rows_that_are_lost_right_below_the_names_leave_the_rest(tmp_path: Path,
     assert {"gps_row_damaged"} <= {problem.code for problem in raw.problems}
 
 
-def test_a_column_with_a_unit_in_every_cell_is_said_not_to_be_used(tmp_path: Path) -> None:
-    rows = [f"{k / 10},{45 + 1e-4 * k:.7f},12.0,{80 + k % 5}.0 km/h" for k in range(100)]
-    (tmp_path / "x.csv").write_text("\n".join(["time,lat,lon,speed", *rows]) + "\n")
-    said = [problem.text for problem in read_named_table(tmp_path / "x.csv").problems]
-    assert "x.csv: speed is no number in 100 rows; write numbers alone. Not used there" in said
-    assert not any("in which unit speeds are" in text for text in said)
+def test_a_unit_in_every_cell_is_the_unit_of_the_column(tmp_path: Path) -> None:
+    rows = [f"{fix.t:.1f},{fix.place},{KMH * fix.speed:.3f} km/h" for fix in FIXES]
+    reading = read(tmp_path, "\n".join(["time,lat,lon,speed", *rows]) + "\n")
+    np.testing.assert_allclose(reading.gnss.speed, [fix.speed for fix in FIXES], atol=0.002)
+    assert {problem.code for problem in reading.problems} <= {"gps_no_course"}

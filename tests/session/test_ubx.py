@@ -1,5 +1,6 @@
 """UBX: fixes of NAV-PVT among other messages, what is unknown in them, and what is damaged."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,22 @@ import pytest
 
 from smoother.errors import SessionError
 from smoother.session.load import load_raw
-from smoother.session.ubx import HEAD, NAV_PVT, read_ubx
+from smoother.session.readers.ubx import read_ubx
 
 from .folders import nmea_epochs
 
 COUNT = 60
+HEAD = b"\xb5\x62\x01\x07\x5c\x00"  # class, number, length; u-blox, Interface Description M8, UBX-NAV-PVT
+NAV_PVT = np.dtype(
+    [
+        *(("itow_ms", "<u4"), ("year", "<u2"), ("month", "u1"), ("day", "u1"), ("hour", "u1"), ("minute", "u1")),
+        *(("second", "u1"), ("valid", "u1"), ("time_accuracy_ns", "<u4"), ("nano", "<i4"), ("fix", "u1")),
+        *(("flags", "u1"), ("flags2", "u1"), ("satellites", "u1"), ("lon_1e7", "<i4"), ("lat_1e7", "<i4")),
+        *(("ellipsoid_mm", "<i4"), ("height_mm", "<i4"), ("hacc_mm", "<u4"), ("vacc_mm", "<u4"), ("north_mm", "<i4")),
+        *(("east_mm", "<i4"), ("down_mm", "<i4"), ("speed_mm", "<i4"), ("course_1e5", "<i4"), ("sacc_mm", "<u4")),
+        *(("course_accuracy_1e5", "<u4"), ("pdop", "<u2"), ("rest", "V14")),
+    ]
+)
 ACK = b"\xb5\x62\x05\x01\x02\x00\x06\x01\x0f\x38"
 WEEK_MS = 604_800_000
 
@@ -86,9 +98,39 @@ def test_damaged_messages_are_counted_and_a_cut_one_left(tmp_path: Path) -> None
     messages[7] = messages[7][:50] + b"\xff" + messages[7][51:]
     reading = read_ubx(write(tmp_path, *messages, messages[0][:60]))
     assert len(reading.gnss) == COUNT - 1
-    assert [problem.text for problem in reading.problems] == [
-        "log.ubx: 1 NAV-PVT message with a wrong checksum; left out"
-    ]
+    assert [problem.text for problem in reading.problems] == ["log.ubx: 1 UBX message with a wrong checksum; left out"]
+
+
+def framed(kind: int, number: int, payload: bytes) -> bytes:
+    """A message of a class and number, with its checksum."""
+    body = bytes([kind, number]) + struct.pack("<H", len(payload)) + payload
+    first = second = 0
+    for byte in body:
+        first = (first + byte) % 256
+        second = (second + first) % 256
+    return b"\xb5\x62" + body + bytes([first, second])
+
+
+def test_old_receivers_send_place_velocity_and_quality_apart(tmp_path: Path) -> None:
+    """NAV-POSLLH, NAV-VELNED and NAV-SOL of one moment are one fix, whichever comes first; without a place none."""
+    parts = []
+    for k in range(COUNT):
+        itow = 208_000_000 + 200 * k
+        place = struct.pack(
+            "<IiiiiII", itow, -1_220_000_000 + 180 * k, 450_000_000 + 128 * k, 60_000, 12_000, 2500, 4000
+        )
+        velocity = struct.pack("<IiiiIIiII", itow, 707, 707, 10, 1000, 1000, 4_500_000, 40, 100_000)
+        quality = struct.pack("<IihBBiiiIiiiIHBBI", itow, 0, 2000, 3, 0x0D, 0, 0, 0, 0, 0, 0, 0, 0, 120, 0, 9, 0)
+        sent = [framed(1, 2, place), framed(1, 0x12, velocity), framed(1, 6, quality)]
+        parts += sent[::-1] if k % 2 else sent
+    parts.append(framed(1, 0x12, velocity))
+    gnss = read_ubx(write(tmp_path, *parts)).gnss
+    assert len(gnss) == COUNT
+    np.testing.assert_allclose(gnss.t, 0.2 * np.arange(COUNT), atol=1e-9)
+    np.testing.assert_allclose(gnss.velocity_n, [[7.07, -7.07, -0.1]] * COUNT, atol=1e-9)
+    np.testing.assert_allclose(gnss.lon_deg, -122.0 + 1.8e-5 * np.arange(COUNT), atol=1e-9)
+    assert gnss.sigma_horizontal[0] == 2.5 and gnss.sigma_velocity[0] == 0.4 and gnss.alt_m[0] == 12.0
+    assert gnss.num_sv[0] == 9 and gnss.fix[0] == 3
 
 
 def test_sentences_beside_the_messages_are_read(tmp_path: Path) -> None:
@@ -98,7 +140,7 @@ def test_sentences_beside_the_messages_are_read(tmp_path: Path) -> None:
 
 
 def test_a_file_without_fixes_is_one_clear_line(tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match=r"log.ubx: no UBX message NAV-PVT in it; have the receiver send that, or N"):
+    with pytest.raises(SessionError, match=r"log.ubx: no fix in it; have the receiver send NAV-PVT, or NMEA"):
         load_raw(write(tmp_path, ACK * 20))
     with pytest.raises(SessionError, match=r"log.ubx: no known kind of recording"):
         load_raw(write(tmp_path, b""))

@@ -10,9 +10,9 @@ import pytest
 
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes
-from smoother.session.foreign import ForeignReading
 from smoother.session.load import load_raw
-from smoother.session.vbo import TimingLine, own_lines, read_vbo
+from smoother.session.readers.foreign import ForeignReading
+from smoother.session.readers.vbo import TimingLine, own_lines, read_vbo
 
 from .readers import assert_outlives_damage, assert_refused
 
@@ -255,9 +255,9 @@ def test_six_inertial_channels_make_an_imu_and_two_accelerations_do_not(tmp_path
         (
             "LongAcc VertAcc x-rotation-gyroscope y-rotation-gyroscope z-rotation-gyroscope lean-angle",
             "imu_incomplete",
-            "of the six channels of a motion sensor latacc is missing; the others are not used",
+            "of the six channels of a motion sensor ay is missing; the others are not used",
         ),
-        ("x_acc y_acc z_acc a b c", "imu_incomplete", "z_rate_of_rotation are missing; the others are not used"),
+        ("x_acc y_acc z_acc a b c", "imu_incomplete", "gx, gy, gz are missing; the others are not used"),
         ("longacc latacc a b c d", "", ""),
     ],
 )

@@ -191,6 +191,7 @@ def with_samples_at(session: Session, change: Change) -> Session:
         imu=None if imu is None else replace(imu, t=_changed(imu.t, change)),
         mag=None if mag is None else replace(mag, t=_changed(mag.t, change)),
         wheel_speed=None if wheel is None else replace(wheel, t=_changed(wheel.t, change)),
+        channels=tuple(replace(channel, t=_changed(channel.t, change)) for channel in session.channels),
     )
 
 
@@ -203,7 +204,7 @@ def moved(session: Session, moves: tuple[ClockMove, ...]) -> Session:
 
 
 def _without_late(session: Session, moves: tuple[ClockMove, ...]) -> Session:
-    """The session without readings of magnetometer and wheel that a move takes behind later ones."""
+    """The session without readings of magnetometer, wheel and channels that a move takes behind later ones."""
     mag, wheel = session.mag, session.wheel_speed
     if mag is not None and len(mag.t):
         keep = _in_order(mag.t, moves)
@@ -211,7 +212,9 @@ def _without_late(session: Session, moves: tuple[ClockMove, ...]) -> Session:
     if wheel is not None and len(wheel.t):
         keep = _in_order(wheel.t, moves)
         wheel = replace(wheel, t=wheel.t[keep], speed=wheel.speed[keep])
-    return replace(session, mag=mag, wheel_speed=wheel)
+    kept = [(channel, _in_order(channel.t, moves)) for channel in session.channels if len(channel.t)]
+    channels = tuple(replace(channel, t=channel.t[keep], values=channel.values[keep]) for channel, keep in kept)
+    return replace(session, mag=mag, wheel_speed=wheel, channels=channels)
 
 
 def _in_order(t: Array, moves: tuple[ClockMove, ...]) -> BoolArray:

@@ -243,7 +243,8 @@
   function drawTraces(wanted) {
     const wide = room("traces", wanted);
     const [first, last] = state.range, laps = [...state.slots.keys()];
-    const panels = PANELS.filter((p) => traces[p.name]).map((p) => {
+    const logged = (data.channels || []).map((c) => ({ name: c.name, title: () => c.title, height: 110, least: 1e-6 }));
+    const panels = [...PANELS, ...logged].filter((p) => traces[p.name]).map((p) => {
       const k = p.scale ? p.scale() : 1;
       const series = [...state.slots].map(([lap, slot]) => ({
         x: grid, y: traces[p.name][lap].map((v) => v * k), slot, span: [first, last],
@@ -508,6 +509,7 @@
         html("td", isItself ? "–" : fixed(value, digits, true) + (Number.isFinite(value + error) && error > 0 ? ` ± ${fixed(error, digits)}` : ""), row);
       }
       for (const key of ["longitudinal", "sideways"]) html("td", fixed(traces[key] ? traces[key][lap][at] / 9.80665 : NaN, 2, true), row);
+      for (const c of data.channels || []) html("td", fixed(traces[c.name] ? traces[c.name][lap][at] : NaN, 1), row);
     }
     place("where").textContent = along(grid[at]);
     place("cursor").value = at;

@@ -9,6 +9,7 @@ from smoother.arrays import Array, BoolArray, median
 from smoother.disc import pieces, release, thinned
 from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, STUCK_AXES, RawImu
+from smoother.session.checks.counts import counts
 from smoother.session.checks.spans import Span, constant_runs, mask_of, where
 from smoother.session.checks.spikes import spikes
 from smoother.session.checks.table import Check, Finding, dropped
@@ -299,6 +300,7 @@ def _moves(r: Recording, first: int, last: int) -> bool:
 
 USABLE = (
     Check("imu_missing", "imu", (), few),
+    Check("imu_counts", "imu", (), counts),
     Check("imu_accel_unit", "imu", (), force_unit),
     Check("imu_gyro_unit", "imu", (), rate_unit),
     Check("imu_too_slow", "imu", (), too_slow),

@@ -1,30 +1,20 @@
 """What recordings of other programs have in common: columns of fixes and samples to the types, sanity of rates."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.samples import IMU_AXES_UNKNOWN, IMU_INCOMPLETE, GnssFixes, Problem, RawImu
+from smoother.samples import Channel, GnssFixes, Problem, RawImu
 from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
-from smoother.session.inertial import screen_imu
+from smoother.session.readers.names import SPEED_UNITS
 from smoother.session.rows import LATEST
-from smoother.units import DEG, FOOT, KMH, KNOT, MPH, STANDARD_GRAVITY
+from smoother.words import counted
 
 FASTEST_FIXES = 1000.0  # Hz; nothing writes more, and no receiver makes more than 100
 SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
-SPEED_UNITS = {
-    **dict.fromkeys(("km/h", "kmh", "kph", "km/hr"), KMH),
-    **dict.fromkeys(("m/s", "mps", "m/sec", "meters/second", "metres/second"), 1.0),
-    **dict.fromkeys(("mph", "mi/h", "mi/hr"), MPH),
-    **dict.fromkeys(("knots", "knot", "kn", "kt", "kts"), KNOT),
-}
-LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": FOOT, "feet": FOOT}
-ACCELERATION_UNITS = {"g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0}
-RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "mdps": 1e-3 * DEG, "rad/s": 1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +28,7 @@ class ForeignReading:
     problems: list[Problem] = field(default_factory=list)
     imu: RawImu | None = None
     unix_at_zero: float | None = None
+    channels: tuple[Channel, ...] = ()
 
 
 def fixes_from(
@@ -87,34 +78,6 @@ def _require_sane_times(file: str, t: Array) -> None:
         raise SessionError(f"{file}: a fix every {step:.3g} s only; a kart's motion between them is not known")
 
 
-def imu_from(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu | None, list[Problem]]:
-    """Inertial samples of the rows that have all of them: accel (N, 3) m/s^2, gyro (N, 3) rad/s; None without any."""
-    present = np.all(np.isfinite(accel), axis=1) & np.all(np.isfinite(gyro), axis=1) & np.isfinite(t)
-    if not present.any():
-        return None, []
-    return screen_imu(file, t[present], accel[present], gyro[present])
-
-
-def incomplete_note(file: str, names: Sequence[str], present: Sequence[str]) -> list[Problem]:
-    """Say which of the `names` of six inertial channels are missing where at least half of them are `present`."""
-    missing = [name for name in names if name not in present]
-    if not missing or len(missing) > len(names) / 2:
-        return []
-    text = f"{file}: of the six channels of a motion sensor {', '.join(missing)} are missing; the others are not used"
-    return [Problem(IMU_INCOMPLETE, text.replace(" are missing", " is missing") if len(missing) == 1 else text)]
-
-
-def axes_note(file: str, names: Sequence[str]) -> list[Problem]:
-    """Say that the channels `names` of a motion sensor are not used."""
-    text = f"{file}: the inertial channels ({', '.join(names)}) are not used: their axes are not known"
-    return [Problem(IMU_AXES_UNKNOWN, text)] if names else []
-
-
-def factor(unit: str, units: dict[str, float], otherwise: str) -> float:
-    """Factor to SI of a unit as a file spells it; of the usual unit where the file does not say, or says nonsense."""
-    return units.get(unit.strip().lower(), units[otherwise])
-
-
 def speed_unit_note(file: str, unit: str, otherwise: str) -> list[Problem]:
     """Say that a file does not tell the unit of its speeds, which `factor` then assumes."""
     if unit.strip().lower() in SPEED_UNITS:
@@ -135,3 +98,9 @@ def seconds_since_first(unix: Array) -> Array:
 def date_note(file: str, reason: str) -> Problem:
     """Say that the date of a recording is not certain."""
     return Problem("gps_date_assumed", f"{file}: {reason}")
+
+
+def unread_note(file: str, name: str, count: int) -> Problem | None:
+    """Say that cells of a column hold something else than numbers, where any do."""
+    text = f"{file}: {name} of {counted(count, 'row')} is no number; not used"
+    return Problem("gps_unread", text, count) if count else None

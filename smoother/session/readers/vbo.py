@@ -11,29 +11,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.frames import velocity_n_from_course
-from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.samples import IMU_AXES_UNKNOWN, GnssFixes, Problem
 from smoother.session.degrees import scale_by_way
 from smoother.session.fix_columns import fix_columns
-from smoother.session.foreign import (
-    ACCELERATION_UNITS,
-    RATE_UNITS,
-    SPEED_UNITS,
+from smoother.session.readers.foreign import (
     ForeignReading,
-    axes_note,
     date_note,
-    factor,
     fixes_from,
-    imu_from,
-    incomplete_note,
     seconds_since_first,
     speed_unit_note,
+    unread_note,
 )
-from smoother.session.moments import time_of_day
-from smoother.session.records import Records, head_of, read_records
+from smoother.session.readers.motion import imu_of
+from smoother.session.readers.names import SPEED_UNITS
+from smoother.session.readers.sheet import Column, Sheet, sheet_of
+from smoother.session.readers.text import Rows, head_of, read_rows
+from smoother.session.readers.times import read_moments, time_of_day
 from smoother.session.rows import over_midnight
 from smoother.units import DAY
 from smoother.words import listed
@@ -127,19 +125,38 @@ def read_vbo(path: Path) -> ForeignReading:
     missing = [key for key in NEEDED if found[key] is None]
     if missing:
         raise SessionError(f"{path.name}: no column for {missing[0]}; has {listed(names)}")
-    inertial = [triple for triple in IMU_NAMES if all(name in names for group in triple for name in group)][:1]
-    wanted = [name for name in found.values() if name is not None]
-    wanted += [name for triple in inertial for group in triple for name in group]
-    records = read_records(path, offset, names, list(dict.fromkeys(wanted)), None, WHAT)
-    columns = {key: records.column(name or "") for key, name in found.items()}
-    utc, time_problems = _utc(path.name, columns["time"])
+    time = names.index(str(found["time"]))
+    rows = read_rows(path, offset, len(names), None, WHAT, texts=[time])
+    columns = {
+        key: rows.values[names.index(name)] if name is not None else np.full(rows.length, np.nan)
+        for key, name in found.items()
+    }
+    utc, time_problems = _utc(path.name, columns["time"], rows.cells[time])
     t = seconds_since_first(utc)
     gnss, problems = _fixes(path.name, head, columns, t, utc)
-    imu, imu_problems = _imu(path.name, head, records, t, inertial)
-    if not inertial:
-        imu_problems = _unused_imu(path.name, names)
-    problems = [*records.problems(path.name), *time_problems, *imu_problems, *problems]
+    imu, imu_problems = imu_of(path.name, [(_inertial(path.name, head, names, rows), t)])
+    if all(name in names for name in VBOX_NAMES):
+        text = f"{path.name}: the inertial channels ({', '.join(VBOX_NAMES)}) are not used: their axes are not known"
+        imu_problems = [Problem(IMU_AXES_UNKNOWN, text)]
+    used = [name for name in found.values() if name is not None and name != found["time"]]
+    unread = [unread_note(path.name, name, rows.unread[names.index(name)]) for name in used]
+    problems = [*rows.problems(path.name), *(note for note in unread if note), *time_problems, *imu_problems, *problems]
     return ForeignReading(gnss, problems, imu)
+
+
+def _inertial(file: str, head: _Head, names: Sequence[str], rows: Rows) -> Sheet:
+    """The columns of the motion sensor, under the names of its axes."""
+    triples = max(IMU_NAMES, key=lambda triple: sum(name in names for group in triple for name in group))
+    called = zip((name for group in triples for name in group), ("ax", "ay", "az", "gx", "gy", "gz"), strict=True)
+    usual = {"a": "g", "g": "deg/s"}
+    return sheet_of(
+        file,
+        [
+            Column(axis, rows.values[names.index(name)], head.unit_of(name) or usual[axis[0]])
+            for name, axis in called
+            if name in names
+        ],
+    )
 
 
 def _sections(lines: Iterable[str]) -> dict[str, list[str]]:
@@ -159,13 +176,16 @@ def _unique(names: Sequence[str]) -> list[str]:
     return [name if lower.index(name) == i else f"{name} #{i}" for i, name in enumerate(lower)]
 
 
-def _utc(file: str, clock: Array) -> tuple[Array, list[Problem]]:
+def _utc(file: str, clock: Array, cells: pl.Series | None) -> tuple[Array, list[Problem]]:
     """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number, NaN where that is no time.
 
     Where seconds beyond 60 show that they are seconds of the day, they are taken as such, and said. Raises SessionError
     where many are neither.
     """
     known = np.isfinite(clock)
+    if cells is not None and cells.str.contains(":", literal=True).any():
+        moments = read_moments(cells, "")
+        return (clock if moments is None else moments.seconds), []
     if not known.any():
         return clock, []
     of_day, problems = time_of_day(clock), []
@@ -188,7 +208,7 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
     if counts.any():  # some programs write 0 throughout
         fix = np.where(satellites == 0, 0.0, fix)
     unit = head.unit_of("velocity")
-    speed = columns["speed"] * factor(unit, SPEED_UNITS, "km/h")
+    speed = columns["speed"] * SPEED_UNITS.get(unit, SPEED_UNITS["km/h"])
     unit_problems = speed_unit_note(file, unit, "km/h") if np.isfinite(speed).any() else []
     velocity_n = velocity_n_from_course(speed, columns["heading"])  # components, so that the climb counts too
     midnight, date_problems = _midnight(file, head, utc)
@@ -203,7 +223,7 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
         course_deg=columns["heading"],
         velocity_north=velocity_n[:, 0],
         velocity_east=-velocity_n[:, 1],
-        velocity_up=columns["climb"] * factor(head.unit_of("vertvel"), SPEED_UNITS, "m/s"),
+        velocity_up=columns["climb"] * SPEED_UNITS.get(head.unit_of("vertvel"), 1.0),
         sigma_horizontal=columns["accuracy"],
         num_sv=np.where(counts, satellites, np.nan),
         fix=fix,
@@ -243,31 +263,6 @@ def _day(match: re.Match[str]) -> float:
     except ValueError:
         return float("nan")
     return (day - dt.date(1970, 1, 1)).days * DAY
-
-
-def _imu(
-    file: str,
-    head: _Head,
-    records: Records,
-    t: Array,
-    inertial: Sequence[tuple[tuple[str, ...], tuple[str, ...]]],
-) -> tuple[RawImu | None, list[Problem]]:
-    if not inertial:
-        return None, []
-    forces, rates = inertial[0]
-    accel = np.stack([records.column(name) for name in forces], axis=-1)
-    gyro = np.stack([records.column(name) for name in rates], axis=-1)
-    accel *= factor(head.unit_of(forces[0]), ACCELERATION_UNITS, "g")
-    gyro *= factor(head.unit_of(rates[0]), RATE_UNITS, "deg/s")
-    return imu_from(file, t, accel, gyro)
-
-
-def _unused_imu(file: str, names: Sequence[str]) -> list[Problem]:
-    """Say why a motion sensor that is there is not used."""
-    if all(name in names for name in VBOX_NAMES):
-        return axes_note(file, VBOX_NAMES)
-    notes = (incomplete_note(file, [*forces, *rates], names) for forces, rates in IMU_NAMES)
-    return next((note for note in notes if note), [])
 
 
 def own_lines(path: Path) -> tuple[tuple[TimingLine, TimingLine], ...]:

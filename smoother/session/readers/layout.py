@@ -1,0 +1,160 @@
+"""How a table of another program is laid out: lines about the session, names, maybe units and sources, rows.
+
+Looks at the beginning of the text only, so that a folder is looked through quickly. Refuses what has no times with
+places, forces or turn rates under any name that is known, and what has no numbers where these would be.
+"""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from smoother.session.readers.names import meaning_of
+from smoother.session.readers.sheet import places_of
+
+MOST_LINES = 60  # before the names, about the session
+SEPARATORS = ",;\t"  # of as many the first
+COMMENT = "#"
+OVERWRITTEN = "\0\ufffd"  # in rows that a card has lost, as in no text
+OWN_NAMES = ("lat_deg", "lon_deg", "t_s")  # of this project's tables, which have a reader, or are results
+PLACES = ("latitude", "longitude")
+SENSORS = (("ax", "ay", "az"), ("gx", "gy", "gz"))
+_WITH_FORM = re.compile(r'^"?([^"|]*)"?\|"?([^"|]*)"?\|')  # of RaceCapture: name, unit, least, most, rate
+_NUMBER = re.compile(r"^\s*[-+]?\d*[.,]?\d+\s*$")
+_SOURCE = re.compile(r"^(?:\d+: ?\w+|calc|gps|acc|gyro|)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the rows of a table begin and what its columns hold.
+
+    lines : how many stand before the rows. places : of the columns of each quantity, the best first. sensor : what the
+    table is called after.
+    """
+
+    lines: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    sources: tuple[str, ...]
+    places: dict[str, list[int]]
+    separator: str
+    about: dict[str, str]
+    sensor: str
+
+    @property
+    def has_places(self) -> bool:
+        """Whether there are latitudes and longitudes."""
+        return all(quantity in self.places for quantity in PLACES)
+
+
+def layout_of(head: str, sensor: str = "") -> Layout | None:
+    """Return the layout of a table that begins with the text `head`; None where that is none of motion with times."""
+    lines = head.split("\n")
+    for place, line in enumerate(lines[:MOST_LINES]):
+        separator = max(SEPARATORS, key=line.count)
+        if line.lstrip(' "\ufeff').lower().startswith("sep=") or not line.strip():
+            continue
+        names, units = _names(line, separator)
+        found = _found(names, units, sensor)
+        if set(names) & set(OWN_NAMES) or not _is_of_motion(found):
+            continue
+        about = _about(lines[:place], separator)
+        blank = ("",) * len(names)
+        return _with_rows(Layout(place + 1, names, units, blank, found, separator, about, sensor), lines)
+    return None
+
+
+def _names(line: str, separator: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the columns and their units, where the names have them in a form of their own."""
+    forms = [_WITH_FORM.match(cell) for cell in line.strip("\ufeff \r").split(separator)]
+    if all(forms):
+        found = [form for form in forms if form is not None]
+        return tuple(form[1].strip() for form in found), tuple(form[2].strip() for form in found)
+    names = cells_of(line, separator)
+    return names, ("",) * len(names)
+
+
+def _found(names: Sequence[str], units: Sequence[str], sensor: str) -> dict[str, list[int]]:
+    return places_of([meaning_of(name, unit, sensor) for name, unit in zip(names, units, strict=True)])
+
+
+def _is_of_motion(found: dict[str, list[int]]) -> bool:
+    has_time = bool({"time", "date"} & set(found)) or {"hour", "minute", "second"} <= set(found)
+    has_place = all(quantity in found for quantity in PLACES)
+    return has_time and (has_place or any(all(axis in found for axis in sensor) for sensor in SENSORS))
+
+
+def _about(lines: Sequence[str], separator: str) -> dict[str, str]:
+    """What each row about the session says, by its first cell in lower case; the last wins."""
+    rows = [line.partition(separator) for line in lines]
+    return {name.strip(' "').lower(): rest.strip(' "\r\n' + separator) for name, _, rest in rows}
+
+
+def _with_rows(layout: Layout, lines: Sequence[str]) -> Layout | None:
+    """The layout with units and sources below the names, if they are there; None where what follows is no such row.
+
+    A separator at the end of the names only, or of the rows only, is no column. Rows that are cut or overwritten are
+    passed over, as those further down are: the first that is whole tells.
+    """
+    below = [i for i in range(layout.lines, len(lines)) if lines[i].strip() and not lines[i].startswith(COMMENT)]
+    number = len(layout.names)
+    if below and _is_units(units := cells_of(lines[below[0]], layout.separator), layout):
+        layout = replace(layout, lines=below[0] + 1, units=(*units, *[""] * number)[:number])
+        below = below[1:]
+        if below and _is_sources(sources := cells_of(lines[below[0]], layout.separator)):
+            sources = tuple(source.lower() for source in (*sources, *[""] * number)[:number])
+            layout = replace(layout, lines=below[0] + 1, sources=sources)
+            below = below[1:]
+    for i in below:
+        row = cells_of(lines[i], layout.separator)
+        fitted = _ending_as(row, layout)
+        if len(row) == len(fitted.names) and all(_may_be_value(row[k]) for k in _telling(fitted)):
+            return fitted
+        if len(row) == len(fitted.names) and i < len(lines) - 1 and not any(c in lines[i] for c in OVERWRITTEN):
+            return None
+    return layout  # whoever reads its rows will say what is wrong with them
+
+
+def _ending_as(row: Sequence[str], layout: Layout) -> Layout:
+    """The layout with as many columns as a row, where that ends in a separator and the names do not, or they alone."""
+    if len(row) == len(layout.names) + 1 and not row[-1]:
+        names, units, sources = ((*cells, "") for cells in (layout.names, layout.units, layout.sources))
+        return replace(layout, names=names, units=units, sources=sources)
+    if len(row) == len(layout.names) - 1 and not layout.names[-1]:
+        return replace(layout, names=layout.names[:-1], units=layout.units[:-1], sources=layout.sources[:-1])
+    return layout
+
+
+def _is_units(cells: Sequence[str], layout: Layout) -> bool:
+    """Whether a line below the names is one of units: words, and no values."""
+    telling = [cells[i] for i in _telling(layout) if i < len(cells)]
+    some = any(cell.strip() for cell in cells) and len(telling) == len(_telling(layout))
+    return some and not any(_NUMBER.match(cell) for cell in cells) and not any(_has_digit(cell) for cell in telling)
+
+
+def _has_digit(cell: str) -> bool:
+    return any(c.isdigit() for c in cell.replace("s2", "").replace("s^2", ""))
+
+
+def _is_sources(cells: Sequence[str]) -> bool:
+    """Whether a line below the units says where each column is from."""
+    return any(cells) and all(_SOURCE.match(cell) for cell in cells)
+
+
+def _telling(layout: Layout) -> list[int]:
+    """The columns that tell rows from units: places, else forces or turn rates."""
+    chosen = next(axes for axes in (PLACES, *SENSORS) if all(axis in layout.places for axis in axes))
+    return [layout.places[axis][0] for axis in chosen]
+
+
+def _may_be_value(cell: str) -> bool:
+    return not cell or any(c.isdigit() for c in cell) or cell.lower() in ("nan", "-", "null", "n/a", "none")
+
+
+def cells_of(line: str, separator: str) -> tuple[str, ...]:
+    """The cells of a line, without quotation marks and spaces around them."""
+    try:
+        row = next(csv.reader([line.strip("\ufeff\r\n")], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        row = line.split(separator)
+    return tuple(cell.strip(' "\ufeff\r') for cell in row)
