@@ -53,7 +53,7 @@ def show_result(result: Result, path: Path | None = None) -> None:
             continue
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     problems: list[Problem] = document["problems"]
-    pairs += [("problem" if i == 0 else "", repeated(p.text, p.count)) for i, p in enumerate(problems)]
+    pairs += [("problem" if i == 0 else "", f"{repeated(p.text, p.count)} [{p.code}]") for i, p in enumerate(problems)]
     reasons = "; ".join(result.quality.reasons)
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
     title = about.get("title")

@@ -6,23 +6,17 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.check import FARTHER_AWAY
 from smoother.laps.results import LapAnalysis
 from smoother.laps.sigma import least_real
+from smoother.problems import remedy
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_sections import Told, speed_span, speed_unit
 from smoother.report.page_words import DASH, number
 from smoother.report.summary import is_told, known_axes, mounting_angles, smoothing_time, told_problems
-from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, WHITENED, Identified
+from smoother.samples import Problem
+from smoother.trajectory import WHITENED, Identified
 from smoother.units import DEG
 from smoother.words import measured, repeated
-
-# what a user can do about problems that are lived with, beside what the check of the recording says
-_REMEDIES: Mapping[str, str] = {
-    IMU_SHAKEN: f"IMU: {FARTHER_AWAY}, or sample faster with the sensor's low-pass filter on",
-    BOX_ON_WHEEL: "IMU: mount the box on the frame, not on the steering wheel: roll, yaw and sideslip are then the "
-    "kart's",
-}
 
 
 def trust(told: Told) -> list[Element]:
@@ -36,16 +30,20 @@ def trust(told: Told) -> list[Element]:
     sentences = [element("li", text) for text in _trust_sentences(told)]
     findings = [f for f in told.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
-    problems = told_problems(told.session, told.smoothed.report)
-    codes = {problem.code for problem in problems}
-    warned += [element("li", text) for code, text in _REMEDIES.items() if code in codes]
-    said = [element("li", repeated(p.text, p.count)) for p in problems]
+    problems = [_problem(problem) for problem in told_problems(told.session, told.smoothed.report)]
     made = [verdict, element("ul", *sentences)]
-    if said:
-        made += [element("h3", "What was lived with"), element("ul", *said)]
+    if problems:
+        made += [element("h3", "Problems of the recording"), element("ul", *problems)]
     if warned:
-        made += [element("h3", "What would make it better"), element("ul", *warned)]
+        made += [element("h3", "Check of the recording"), element("ul", *warned)]
     return made
+
+
+def _problem(problem: Problem) -> Element:
+    """What was found, what to do about it, and the code under which the documents explain it."""
+    advice = remedy(problem.code)
+    todo = (element("br"), f"What to do: {advice}") if advice else ()
+    return element("li", repeated(problem.text, problem.count), " ", element("code", problem.code), *todo)
 
 
 def _trust_sentences(told: Told) -> Iterator[Child]:
