@@ -22,6 +22,7 @@ BEGIN, END = "<!-- tables: made by .ci/dependencies.py -->", "<!-- end of tables
 EXTRAS = {
     "dask": "Installed with the extra `dask`",
     "test": "For the tests only",
+    "docs": "For the documents as a site only",
     "bench": "For the benchmarks only",
     "dev": "For style and types only",
     "release": "For these checks only",
