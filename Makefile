@@ -2,7 +2,7 @@
 #   make demo    simulate a kart session, smooth it, say where the report is
 #   make test    run every test
 #   make test-fast  those to run every few minutes: contracts, readers, mathematics, layers; under a minute
-#   make lint    style and types
+#   make lint    style, types and spelling
 #   make bench   the measurements behind the README's tables (minutes)
 #   make picture the README's picture, from the demo
 #   make notebooks  run the notebooks and put their rendered copies into docs/notebooks
@@ -51,6 +51,8 @@ lint: $(VENV)/for-linting
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/codespell
+	$(BIN)/python .ci/phrases.py
 
 bench: $(VENV)/for-benchmarks
 	$(BIN)/python benchmarks/speed.py

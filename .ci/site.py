@@ -1,4 +1,4 @@
-"""Hooks of MkDocs: formulas as MathML, which browsers show without a script and a network; roles of docstrings as code."""
+"""Hooks of MkDocs: formulas as MathML, which browsers show without a script; roles of docstrings as code."""
 
 import html
 import re

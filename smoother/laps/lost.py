@@ -12,7 +12,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.results import Corner, LapAnalysis
 
-MOST = 5  # that are told; the table has them all
+MOST = 5  # that are shown; the table has them all
 CLEARLY = 2.0  # sigmas
 
 Kind = Literal["braking", "entry", "minimum", "exit"]

@@ -12,7 +12,7 @@ from smoother.frames import to_left
 from smoother.laps.results import FixPath
 from smoother.trajectory import Trajectory
 
-GAP = 2.0  # s without fixes, after which nobody knows where a kart is that has no inertial sensor
+GAP = 2.0  # s without fixes, after which the position of a kart without an inertial sensor is unknown
 STANDING = 1.0  # m/s; below, distance is the wander of the GPS and not counted
 SMOOTHED_OVER = 0.5  # s, of the cubics that give acceleration where there is no inertial sensor
 

@@ -26,7 +26,7 @@ def trust(told: Told) -> list[Element]:
         verdict = element("p", element("strong", "Yes: it passed its own quality gate.", class_="good"))
     else:
         reasons = "; ".join(quality.reasons)
-        verdict = element("p", element("strong", f"No, not as it stands: {reasons}.", class_="bad"))
+        verdict = element("p", element("strong", f"No: {reasons}.", class_="bad"))
     sentences = [element("li", text) for text in _trust_sentences(told)]
     findings = [f for f in told.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
@@ -50,24 +50,24 @@ def _trust_sentences(told: Told) -> Iterator[Child]:
     sigmas, said = told.smoothed.sigmas, told.statistics
     if sigmas is not None:
         across = float(np.nanmedian(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])))
-        yield f"The place on the earth is sure to ± {number(across, 1)} m (one sigma), with the slow wander of the GPS."
+        yield f"Absolute position: ± {number(across, 1)} m (one sigma), the slow error of the GPS included."
         track = sigmas.track[np.isfinite(sigmas.track)]
         if track.size:
-            yield f"The shape of the line on the track is sure to ± {number(float(np.median(track)), 2)} m."
+            yield f"Line on the track, without that slow error: ± {number(float(np.median(track)), 2)} m."
         typical = speed_span(float(np.nanmedian(sigmas.speed)), 2)
-        yield element("span", "Speed is sure to ± ", typical, " ", speed_unit(), ".")
+        yield element("span", "Speed: ± ", typical, " ", speed_unit(), ".")
     if said is not None and np.isfinite(said.best_sigma):
         alike = _alike(told.laps)
         enough = f"; two laps that differ by less than {number(alike, 2)} s may be equally fast" if alike > 0.0 else ""
-        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s{enough}."
+        yield f"Best lap: ± {number(said.best_sigma, 3)} s{enough}."
     measures = told.quality.measures
     if "far_fix_share" in measures:
-        yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes lie far from the path."
+        yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes are far from the path."
     fixes = told.smoothed.report.fixes
     if fixes is not None and len(fixes.index):
         doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
         unused = len(told.session.gnss) - used
-        weighed = f"{doubted} given less than half their weight"
+        weighed = f"{doubted} of them with less than half their weight"
         yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {weighed}."
 
 
@@ -93,7 +93,7 @@ _MEASURES: Mapping[str, tuple[str, str, int]] = {
     "gyro_vibration_dps": ("vibration, turn rate rms", "deg/s", 0),
     "accel_clipped_share": ("clipped acceleration samples", "%", 2),
     "gyro_clipped_share": ("clipped turn rate samples", "%", 2),
-    "mag_rate_hz": ("compass samples a second", "", 1),
+    "mag_rate_hz": ("magnetometer samples a second", "", 1),
 }
 
 
@@ -109,7 +109,7 @@ def recording_table(told: Told) -> Element:
 
 
 def residual_table(told: Told) -> Element:
-    """What was left over of each kind of measurement."""
+    """The residuals of each kind of measurement."""
     rows = [
         row(
             _RESIDUALS.get(name, name.replace("_", " ").replace("gps", "GPS")),
@@ -124,34 +124,34 @@ def residual_table(told: Told) -> Element:
         "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
         "noise was taken too small"
     )
-    return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption, "tight")
+    return table(["", "count", "rms", "in sigma", "little weight"], rows, caption, "tight")
 
 
 _RESIDUALS = {
-    "heading": "compass",
+    "heading": "magnetometer",
     "slip": "wheels, sideways",
     "inertial": "motion sensor",
-    "bias_walk": "drift of the motion sensor",
+    "bias_walk": "bias drift of the motion sensor",
 }
 _NAMES = {
-    "gps_position_latency": "GPS position delay",
-    "gps_velocity_latency": "GPS speed delay",
+    "gps_position_latency": "GPS position latency",
+    "gps_velocity_latency": "GPS speed latency",
     "gps_velocity_response": "time over which the receiver smooths its speed",
-    "lever_arm_b": "antenna from the box: forward, left, up",
-    "R_bs": "box in the kart: roll, pitch, yaw",
+    "lever_arm_b": "antenna from the logger: forward, left, up",
+    "R_bs": "mounting of the logger: roll, pitch, yaw",
     "slip_sigma": "slide of the kart, how it differs between hard corners",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer behind gyroscope",
-    "mag_hard_iron": "iron beside the compass, on each axis of the box",
-    "mag_heading_offset": "compass off by",
-    "imu_clock_drift": "samples' clock against that of the fixes",
+    "mag_hard_iron": "hard iron at the magnetometer, on each axis",
+    "mag_heading_offset": "heading offset of the magnetometer",
+    "imu_clock_drift": "IMU clock against that of the fixes",
     "gps_position_noise": "GPS position noise: north, west, up",
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
-    "gps_offset_sigma": "GPS wander: north, west, up",
-    "gps_offset_tau": "GPS wander time",
-    "accel_rectification": "false acceleration by vibration, on each axis of the box",
-    "accel_rectification_by_rate": "false acceleration by rocking of the box, on each axis",
+    "gps_offset_sigma": "GPS slow error: north, west, up",
+    "gps_offset_tau": "GPS slow error, time constant",
+    "accel_rectification": "acceleration offset by vibration, on each axis",
+    "accel_rectification_by_rate": "acceleration offset by rocking, on each axis",
 }
 
 
