@@ -36,7 +36,7 @@ def show_laps(
         if clock is not None:
             title += f", times of day in {local_zone(clock.at(lap['start_s']) for lap in laps)}"
         say_columns(title, *lap_table(laps, analysis, clock, units))
-    odd = [("laps" if i == 0 else "", problem["text"]) for i, problem in enumerate(analysis["problems"])]
+    odd = [("laps" if i == 0 else "", f"{p['text']} [{p['code']}]") for i, p in enumerate(analysis["problems"])]
     if pairs := [*figures(analysis), *_sectors(laps), *odd]:
         say_pairs("", pairs)
 
