@@ -112,3 +112,13 @@ def test_the_entrance_is_a_page_and_the_documents_are_few() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= MOST_LINES_OF_README
     assert len((ROOT / "docs" / "accuracy.md").read_bytes()) <= MOST_OF_ACCURACY
     assert sum(len(path.read_bytes()) for path in DOCUMENTS if "firmware" not in path.parts) <= MOST_OF_ALL
+
+
+def test_patterns_of_the_led_are_those_of_the_firmware() -> None:
+    def patterns(name: str) -> set[str]:
+        table = (ROOT / name).read_text(encoding="utf-8").partition("\n| LED |")[2].partition("\n\n")[0]
+        return set(re.findall(r"^\| ([^|]*[^|\s-][^|]*) \|", table.partition("\n")[2], re.MULTILINE))
+
+    shown = patterns("docs/troubleshooting.md")
+    assert len(shown) == 7
+    assert shown <= patterns("firmware/README.md")
