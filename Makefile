@@ -2,10 +2,11 @@
 #   make demo    simulate a kart session, smooth it, say where the report is
 #   make test    run every test
 #   make test-fast  those to run every few minutes: contracts, readers, mathematics, layers; under a minute
-#   make lint    style and types
+#   make lint    style, types and spelling
 #   make bench   the measurements behind the README's tables (minutes)
 #   make picture the README's picture, from the demo
 #   make notebooks  run the notebooks and put their rendered copies into docs/notebooks
+#   make docs    the documents as a site with search, in build/site; `.venv/bin/mkdocs serve` shows it
 #   make firmware  the logger's image, with its budget of flash, RAM and stack
 #   make flash     writes it onto a board: ST-Link or serial adapter (PORT=/dev/ttyUSB0), by the tool that is there
 #   make release   the image as .bin and .hex with checksums, in build/release
@@ -34,7 +35,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # of a hundred packages few modules are imported, which are compiled then: half a minute less
 WHAT_TESTS_NEED := --quiet --disable-pip-version-check --no-compile
 
-.PHONY: demo test test-fast lint bench picture notebooks firmware flash release emulate mutants install-check bounds audit dependencies container clean
+.PHONY: demo test test-fast lint bench picture notebooks docs firmware flash release emulate mutants install-check bounds audit dependencies container clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -50,6 +51,8 @@ lint: $(VENV)/for-linting
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/codespell
+	$(BIN)/python .ci/phrases.py
 
 bench: $(VENV)/for-benchmarks
 	$(BIN)/python benchmarks/speed.py
@@ -60,11 +63,15 @@ bench: $(VENV)/for-benchmarks
 
 picture: demo
 	mkdir -p docs/figures
-	cp $(DEMO)/smoothed/figures/overview.png docs/figures/demo.png
+	$(BIN)/smooth $(DEMO) --no-baseline --out build/picture
+	cp build/picture/figures/overview.png docs/figures/demo.png
 
 notebooks: $(VENV)/for-testing
 	rm -rf docs/notebooks
 	env -u SMOOTH_DATA $(BIN)/jupyter nbconvert --log-level=ERROR --to markdown --execute --output-dir docs/notebooks notebooks/*.ipynb
+
+docs: $(VENV)/for-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 firmware: $(BIN)/python
 	@$(BIN)/python firmware/build.py
@@ -116,6 +123,10 @@ $(VENV)/for-testing: $(BIN)/python pyproject.toml
 $(VENV)/for-linting: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install $(WHAT_TESTS_NEED) -e ".[test,dev]"
 	@touch $@ $(VENV)/for-testing
+
+$(VENV)/for-docs: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install $(WHAT_TESTS_NEED) -e ".[docs]"
+	@touch $@
 
 $(VENV)/for-benchmarks: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,bench]"

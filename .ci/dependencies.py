@@ -25,6 +25,7 @@ EXTRAS = {
     "fit": "Installed with the extra `fit`",
     "dask": "Installed with the extra `dask`",
     "test": "For the tests only",
+    "docs": "For the documents as a site only",
     "bench": "For the benchmarks only",
     "dev": "For style and types only",
     "release": "For these checks only",

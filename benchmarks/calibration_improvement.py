@@ -6,7 +6,7 @@ Sensor errors are drawn within the limits of the MPU-9250's data sheet (gyroscop
 accelerometer: 0.6 m/s^2, 3 %, 2 %; hard iron of half the Earth's field, soft iron of 10 %). The same box is then
 calibrated on a simulated bench by the README's guide, and the session evaluated again with the calibration.toml that
 came of it. Everything else of a session (noise, delays, mounting, driving) is that of its preset.
-Writes docs/calibration_improvement.md.
+docs/tables/calibration_improvement.csv is made from what it prints (markdown_csv.py).
 """
 
 import argparse
@@ -34,7 +34,6 @@ from smoother.trajectory import Trajectory
 from smoother.units import DEG, STANDARD_GRAVITY
 
 FIRST_SEED = 52_000
-DOCS = Path(__file__).resolve().parent.parent / "docs"
 ROWS = (
     ("velocity, horizontal (m/s)", "horizontal_velocity_rms_mps"),
     ("horizontal, over 1 s (m)", "relative_1s_rms_m"),
@@ -136,13 +135,12 @@ def table(cases: list[Case], found: Array) -> str:
 
 
 def main() -> None:
-    """Run the comparison and write the table."""
+    """Run the comparison and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--duration", type=float, default=120.0)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS))
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=DOCS, help="directory of the report")
     arguments = parser.parse_args()
     variants = arguments.variant or list(VARIANTS)
     cases = [Case(variant, seed + 1, arguments.duration) for variant in variants for seed in range(arguments.seeds)]
@@ -150,35 +148,6 @@ def main() -> None:
         found = np.array(list(pool.map(evaluated, cases)))
     text = table(cases, found)
     print(text)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "calibration_improvement.md").write_text(document(arguments, text), encoding="utf-8")
-
-
-def document(arguments: argparse.Namespace, text: str) -> str:
-    """Return the report."""
-    command = (
-        f"python benchmarks/calibration_improvement.py --seeds {arguments.seeds} --duration {arguments.duration:g}"
-    )
-    return "\n".join(
-        [
-            "# What a calibration is worth",
-            "",
-            f"`{command}`",
-            "",
-            f"{arguments.seeds} simulated sessions of {arguments.duration:g} s of each kind: the presets `white` and",
-            f"`kart`, and `white` with three outages of {OUTAGE:g} s, where the sensors are on their own. Sensor",
-            "errors are drawn within the MPU-9250's data sheet. Evaluated against the truth by `smooth evaluate`",
-            "without a calibration, and with the calibration.toml that `smooth calibrate` makes of a simulated bench",
-            "recording of the same box.",
-            "",
-            text,
-            "",
-            "The baseline, the thesis' method, takes what the sensors say, and gains most. The smoother finds biases,",
-            "scale and crooked axes by itself as far as the fixes show them; a calibration adds most in outages.",
-            "Its yaw gains too, although it fits the compass to each session.",
-            "",
-        ]
-    )
 
 
 if __name__ == "__main__":

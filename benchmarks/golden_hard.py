@@ -2,7 +2,7 @@
 
 A session is simulated, its files are damaged, and it is smoothed by the command; the results are held against
 truth.csv and against the fixes joined by straight lines. Only verdict and exit code count in a comparison; figures
-are there to read. Expectations and what is known of each are in docs/hard_sessions.md.
+are there to read. Expectations are in docs/tables/hard.csv.
 """
 
 from collections.abc import Callable, Mapping

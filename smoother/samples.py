@@ -33,7 +33,7 @@ STUCK_AXES = "imu_axis_stuck"  # likewise, for a long part of the recording
 
 @dataclass(frozen=True)
 class Problem:
-    """A flaw of the data that was lived with: a machine-readable code, a sentence for people, and how often."""
+    """A flaw of the data that was handled: a machine-readable code, a sentence for people, and a count."""
 
     code: str
     text: str

@@ -86,7 +86,7 @@ class Keyframes:
 
     position_n, velocity_n (K, 3) of the antenna; R_nb (K, 3, 3) of the kart; covariance (K, 9, 9) of the error in
     (rotation vector in n of the kart's attitude: truth = exp(error) @ estimate; velocity_n; position_n). What no
-    measurement of the session can tell of the fixes' slow error, the same at all times, has the variance
+    measurement of the session shows of the fixes' slow error, the same at all times, has the variance
     unseen_offset (3,) m^2, which is in every position's.
     """
 

@@ -61,7 +61,7 @@ def speed_digits(sigma: float) -> int:
 
 
 def loss_digits(sigma: float) -> int:
-    """Return how many digits behind the point a lost time s is told with: two, or those that its sigma needs."""
+    """Return how many digits behind the point a lost time s is shown with: two, or those that its sigma needs."""
     return max(2, (sigma_digits(sigma) or 0) - 1)
 
 

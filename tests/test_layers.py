@@ -15,6 +15,7 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "disc",
     "units",
     "words",
+    "problems",
     "utc_clock",
     "so3",
     "frames",

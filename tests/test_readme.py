@@ -1,4 +1,4 @@
-"""The README's commands run, copied out of it, in their order, in one directory."""
+"""The commands of the README and of the guides run, copied out of them, in their order, in one directory."""
 
 import os
 import re
@@ -17,29 +17,37 @@ from smoother.sim.scenario import ImuErrors, MagErrors
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = [
-    line.partition(" #")[0].strip()
-    for block in re.findall(r"^```sh\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
-    for line in block.splitlines()
+GUIDES = ("driver", "laps", "calibration", "live", "batch")
+
+
+def commands(text: str) -> list[str]:
+    """Lines of the blocks of shell, without what is explained behind them."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    return [line.partition(" #")[0].strip() for block in blocks for line in block.splitlines()]
+
+
+OF_GUIDES = [
+    command for name in GUIDES for command in commands((ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8"))
 ]
+COMMANDS = [*commands(README), *OF_GUIDES]
 SMOOTH = [command for command in COMMANDS if command.startswith("smooth ")]
 
 
 def test_the_readme_shows_the_commands_people_need() -> None:
-    assert {"make demo", "make test", "smooth session/", "smooth check session/"} <= set(COMMANDS)
+    assert {"make demo", "smooth session/", "smooth check session/"} <= set(commands(README))
+    assert {"smooth calibrate bench/", "smooth evaluate demo/", "smooth export --list"} <= set(OF_GUIDES)
 
 
 def test_it_and_the_help_name_every_exit_code() -> None:
     codes = [str(code) for name, code in vars(arguments).items() if name.startswith("EXIT_")]
     assert len(codes) >= 4
     for text in (README, "".join(EPILOG)):
-        listed = text.partition("Exit codes:")[2]
-        listed = listed.partition("The gate")[0]
+        listed = text.partition("Exit codes:")[2].partition("## How accurate")[0]
         assert {"0", "1", *codes} <= set(re.findall(r"\b\d+\b", listed))
 
 
 def test_the_help_names_every_kind_of_file_that_can_go_in() -> None:
-    table = README.partition("## What goes in")[2].partition("If a folder holds several")[0]
+    table = README.partition("## Your recording")[2].partition("What you know")[0]
     endings = set(re.findall(r"`[*\w]*(\.\w+)`", table))
     assert endings >= {".KLG", ".csv", ".vbo", ".gpx", ".ubx"}
     assert not [ending for ending in endings if ending not in HELP]
@@ -47,7 +55,7 @@ def test_the_help_names_every_kind_of_file_that_can_go_in() -> None:
 
 def test_its_smooth_commands_run(tmp_path: Path) -> None:
     scripts = Path(sys.executable).parent
-    environment = dict(os.environ, PATH=f"{scripts}{os.pathsep}{os.environ['PATH']}", SMOOTH_DEMO_SECONDS="30")
+    environment = dict(os.environ, PATH=f"{scripts}{os.pathsep}{os.environ['PATH']}", SMOOTH_DEMO_SECONDS="130")
     # the session a reader has recorded
     subprocess.run(
         [scripts / "smooth", "simulate", tmp_path / "session", "--duration", "30"], check=True, capture_output=True

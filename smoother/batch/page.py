@@ -284,5 +284,5 @@ def _start(entry: Entry) -> str:
         return DASH
     try:
         return local_day(dt.datetime.fromisoformat(entry.facts.start_utc).timestamp())
-    except (ValueError, OverflowError, OSError):  # a receiver may tell of year 9999
+    except (ValueError, OverflowError, OSError):  # a receiver may report year 9999
         return DASH

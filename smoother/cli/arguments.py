@@ -69,7 +69,7 @@ no_baseline_option = click.option("--no-baseline", is_flag=True, help="Leave out
 def require_sessions(sessions: tuple[Path, ...], command: str) -> None:
     """Raise UsageError unless every session exists, naming what was perhaps meant."""
     if not sessions:
-        raise UsageError(f"which session? `{command} --help` says more")
+        raise UsageError(f"no session given; see `{command} --help`")
     for path in sessions:
         if path.exists():
             continue

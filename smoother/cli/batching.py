@@ -98,7 +98,7 @@ def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: b
     for problem in found.problems:
         warn(problem)
     if not found.tasks:
-        raise UsageError(f"{', '.join(map(str, folders))}: no session found; `smooth --help` says what a session is")
+        raise UsageError(f"{', '.join(map(str, folders))}: no session found; see `smooth --help`")
     tasks = [replace(task, arguments=_arguments(given), limits=_limits(given)) for task in found.tasks]
     directory = (out or (folders[0] if folders[0].is_dir() else folders[0].parent)).resolve()
     plan = Plan(given["jobs"] or _cores(), given["scheduler"], directory, _title(folders))
@@ -223,7 +223,7 @@ def _write(entries: dict[Path, Entry], plan: Plan) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _bar(sessions: int, waiting: int, quiet: bool) -> Iterator[Show]:
-    """Give a function that is told of each session that ended: a bar on a terminal, and a line for each failure."""
+    """Give a function that gets each session that ended: a bar on a terminal, and a line for each failure."""
     import sys
 
     from rich.console import Console

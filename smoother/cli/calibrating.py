@@ -220,7 +220,7 @@ def _comparison_text(comparison: Comparison) -> str:
 
 
 def _before_and_after(comparison: Comparison) -> tuple[str, str]:
-    """Both with four digits of the larger; what is zero with these was taken out as well as the recording can tell."""
+    """Both with four digits of the larger; what is zero with these was removed to the accuracy of the recording."""
     digits = sigma_digits(max(comparison.before, comparison.after))
     places = 2 if digits is None else digits + 2
     return _at_least(comparison.before, places, comparison.unit), _at_least(comparison.after, places, comparison.unit)

@@ -41,7 +41,7 @@ def one(path: Path, number: int | None) -> Path:
     """Return a session, or of a card the recording with this number. Raises UsageError where the number is missing."""
     files = _files(path, number)
     if len(files) > 1:
-        raise UsageError(f"{path}: {_listed(_recordings(path, None))}; say which with --recording N")
+        raise UsageError(f"{path}: {_listed(_recordings(path, None))}; select one with --recording N")
     return files[0]
 
 

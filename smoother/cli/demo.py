@@ -27,7 +27,7 @@ LAPSES = 4.0  # a km: a hobby driver's, so that there is something to be found i
     type=Number(20.0, 3600.0),
     default=240.0,
     envvar="SMOOTH_DEMO_SECONDS",
-    help="Seconds driven [240, or what SMOOTH_DEMO_SECONDS says].",
+    help="Seconds driven [240, or SMOOTH_DEMO_SECONDS].",
 )
 @click.option("--seed", type=Whole(0), default=SEED, help=f"Another session [{SEED}].")
 @click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Another track [{TRACKS[0]}].")

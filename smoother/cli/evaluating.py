@@ -40,7 +40,7 @@ _ROWS = (  # what people read, key, digits
     ("along the track (m)", "along_track_rms_m", 3),
     ("across the track (m)", "cross_track_rms_m", 3),
     ("late by, best fit (s)", "lag_s", 3),
-    ("horizontal, lag taken out (m)", "horizontal_rms_at_lag_m", 3),
+    ("horizontal, lag removed (m)", "horizontal_rms_at_lag_m", 3),
     ("up (m)", "up_rms_m", 3),
     ("velocity, horizontal (m/s)", "horizontal_velocity_rms_mps", 3),
     ("roll (deg)", "roll_rms_deg", 2),

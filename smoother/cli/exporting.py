@@ -47,7 +47,7 @@ def export(
     if session is None or form is None:
         raise UsageError("smooth export SESSION FORMAT; `smooth export --list` names the formats")
     if str(session) in FORMAT_NAMES and form not in FORMAT_NAMES and not session.exists():
-        raise UsageError(f"the session stands before the format: smooth export {form} {session}")
+        raise UsageError(f"the session comes before the format: smooth export {form} {session}")
     require_sessions((session,), "smooth export")
     if rate is not None and math.isnan(rate):
         raise UsageError("--rate nan: name a number of rows a second")

@@ -19,7 +19,7 @@ SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
     "joint": "",
     "stored": "± for a line given afterwards: from the session as a whole, not from each lap",
-    "model": "± assumes a usual wander of the GPS, as this session cannot show its own",
+    "model": "± assumes the usual slow error of a GPS: this session does not show its own",
     "none": "",
 }
 
@@ -36,7 +36,7 @@ def show_laps(
         if clock is not None:
             title += f", times of day in {local_zone(clock.at(lap['start_s']) for lap in laps)}"
         say_columns(title, *lap_table(laps, analysis, clock, units))
-    odd = [("laps" if i == 0 else "", problem["text"]) for i, problem in enumerate(analysis["problems"])]
+    odd = [("laps" if i == 0 else "", f"{p['text']} [{p['code']}]") for i, p in enumerate(analysis["problems"])]
     if pairs := [*figures(analysis), *_sectors(laps), *odd]:
         say_pairs("", pairs)
 
@@ -91,7 +91,9 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
     pairs = []
     if line is not None:
         named = f"of {analysis['track']}" if analysis["track"] else "given"
-        where = {"found": "found where timing is surest", "file": "as the recording has it"}.get(line["source"], named)
+        where = {"found": "found where timing is most accurate", "file": "as the recording has it"}.get(
+            line["source"], named
+        )
         pairs.append(("line", f"{where}, lap {analysis['length_m']:.0f} m"))
     if said is not None and said["counted"]:
         pairs += [
@@ -122,7 +124,7 @@ def _sectors(laps: list[dict[str, Any]]) -> list[tuple[str, str]]:
 
 
 def _slide(analysis: dict[str, Any]) -> str:
-    """How far the nose points into the corners on the best lap, in the one where most, or why nobody knows."""
+    """Largest sideslip of the best lap in a corner, or why it is not known."""
     if analysis.get("no_sideslip"):
         return f"not observable: {analysis['no_sideslip']}"
     best = (analysis["statistics"] or {}).get("best_lap")
@@ -170,7 +172,7 @@ def _rolling(said: dict[str, Any]) -> str:
     start, best = said["rolling_from_m"], said["theoretical_s"]
     about = [f"from {start:.0f} m"] if _is_known(start) and start != 0.0 else []
     if said["rolling_s"] - said["rolling_raw_s"] > 0.0005:
-        about.append(f"timed as {lap_clock(said['rolling_raw_s'])}, with the luck of the fastest of many")
+        about.append(f"timed as {lap_clock(said['rolling_raw_s'])}, not corrected for chance")
     if said["rolling_s"] < (best if _is_known(best) else said["best_s"]) - 0.0005:
         about.append("also on laps that do not count")
     return f"{text} ({'; '.join(about)})" if about else text

@@ -68,9 +68,8 @@ def laps(
 ) -> int:
     """Show laps and sectors of a session, each time with one sigma; it is smoothed first where that was not done.
 
-    Without --line it is the start/finish line of session.toml's track, else one that was found where timing is surest.
-    Times of day are those of this computer's time zone, which stands above them. --json has the laps as
-    summary.json has them.
+    Without --line the line is that of the track in session.toml, else one is found where timing is most accurate.
+    Times of day are in this computer's time zone, which the title names. --json has the laps as in summary.json.
     """
     require_sessions(sessions, "smooth laps")
     documents, passed = [], True
@@ -170,7 +169,7 @@ def _are_on_same_lines(found: Document, stored: Document) -> bool:
 
 
 def _found_line(analysis: Document | None) -> list[float] | None:
-    """Latitudes and longitudes of a start line that was found where timing is surest; None of any other."""
+    """Latitudes and longitudes of a start line that was found where timing is most accurate; None of any other."""
     line = None if analysis is None else analysis["start_line"]
     if line is None or line["source"] != "found":
         return None

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from smoother.live.sources import Source
 
 
-@click.command(short_help="The box in your hand, on the screen, while it records.")
+@click.command(short_help="Attitude, position and lap time while the logger records.")
 @click.argument("target", metavar="PORT|FILE|-")
 @click.option("--baud", type=Whole(1200, 4_000_000), default=115200, help="Of the serial port [115200].")
 @click.option("--speed", metavar="X", default="1", help="Of a file: times real speed, or `max` [1].")
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @click.option("--headless", is_flag=True, help="Show nothing but how far it is.")
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a second (of wall time); implies --headless.")
 @click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="What to show it in.")
-@click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this box.")
+@click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this logger.")
 @click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found in the second lap].")
 @click.option("--seconds", metavar="S", type=Number(0.1), help="Stop after this time.")
 def live(

@@ -142,7 +142,7 @@ def read(path: Path) -> RawSession:
 def require_recording(path: Path) -> None:
     """Raise UsageError for a folder of results or a file in one: tables of ours look like fixes, with no error left."""
     if holds_results(session_directory(path)):
-        what = "holds results, not a recording" if path.is_dir() else "lies among results and is no recording"
+        what = "holds results, not a recording" if path.is_dir() else "is inside results and is no recording"
         raise UsageError(f"{path}: {what}; name the folder it was made from")
 
 
@@ -230,7 +230,7 @@ def _smooth_session(path: Path, out: Path | None, options: Options, progress: Pr
         say_removed(directory, [name for name in earlier if not (directory / name).exists()])
     if is_new:
         left = ", ".join(exports)
-        warn(f"{directory}: {left} of an earlier run stayed there, and says what that found; export again")
+        warn(f"{directory}: {left} of an earlier run was kept and has its results; export again")
     return replace(result, directory=directory, main_file=directory / result.main_file.relative_to(staging))
 
 

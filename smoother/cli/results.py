@@ -46,5 +46,5 @@ def _is_current(path: Path, directory: Path, document: dict[str, object]) -> boo
 def _verdict(document: dict[str, object]) -> tuple[bool, list[str]]:
     quality = document.get("quality")
     if not isinstance(quality, dict):
-        return False, ["summary.json does not say"]
+        return False, ["summary.json has no verdict"]
     return quality.get("passed") is True, [str(reason) for reason in quality.get("reasons") or ()]

@@ -39,7 +39,7 @@ MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simula
 @click.option("--no-imu", is_flag=True, help="GPS only.")
 @click.option("--no-mag", is_flag=True, help="No compass.")
 @click.option("--no-speed", is_flag=True, help="Fixes without speed and course.")
-@click.option("--told", is_flag=True, help="Write the true mounting, noise and delays into session.toml.")
+@click.option("--told", is_flag=True, help="Write the true mounting, noise and latencies into session.toml.")
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Any other figure; --list shows them.")
 @click.option("--list", "list_them", is_flag=True, help="List every figure of this preset, and stop.")
 def simulate(
@@ -58,7 +58,7 @@ def simulate(
         say_pairs(f"preset {choices['preset']}", listed(choices["preset"], choices["seed"], changes))
         return 0
     if directory is None:
-        raise UsageError("where to? smooth simulate DIR; `smooth simulate --help` says more")
+        raise UsageError("no folder given: smooth simulate DIR; see `smooth simulate --help`")
     if form == "thesis" and choices["no_imu"]:
         raise UsageError("--format thesis cannot hold a session without IMU; leave out --no-imu, or write csv")
     with progress_on_terminal() as progress:

@@ -53,7 +53,7 @@ class SmoothCommand(click.Command):
     """The command without a name; its help also lists the named ones."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of named commands, how a folder with such a name is told apart, and the exit codes."""
+        """Write the list of named commands, the rule for folders with such a name, and the exit codes."""
         with formatter.section("Commands"):
             formatter.write_dl(
                 [(f"smooth {name}", named_command(name).get_short_help_str(70)) for name in COMMAND_NAMES]

@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from smoother.trajectory import Identified
 
 _NAMES = {
-    "gps_position_latency": "GPS position delay",
-    "gps_velocity_latency": "GPS speed delay",
-    "lever_arm_b": "antenna from box",
-    "R_bs": "box in the kart",
+    "gps_position_latency": "GPS position latency",
+    "gps_velocity_latency": "GPS speed latency",
+    "lever_arm_b": "antenna from logger",
+    "R_bs": "mounting",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
-    "accel_delay": "accelerometer delay",
-    "imu_clock_drift": "samples' clock, fast by",
-    "gps_offset_sigma": "GPS wander",
-    "gps_offset_tau": "GPS wander time",
+    "accel_delay": "accelerometer latency",
+    "imu_clock_drift": "IMU clock, fast by",
+    "gps_offset_sigma": "GPS slow error",
+    "gps_offset_tau": "GPS slow error, time constant",
     "accel_rectification": "vibration offset",
     "accel_rectification_by_rate": "rocking offset",
 }
@@ -46,14 +46,14 @@ def show_result(result: Result, path: Path | None = None) -> None:
     about = document["session"]
     pairs = [("driven", _driven(about)), ("recorded", _recorded(document))]
     if document["sigma_median"]:
-        pairs.append(("sure to", _sigma(document["sigma_median"])))
+        pairs.append(("uncertainty", _sigma(document["sigma_median"])))
     pairs += _calibrated(document["calibration"])
     for name, identified in document["identified"].items():
         if name in _ONLY_ON_THE_PAGE or not is_told(name, identified, document["mode"]):
             continue
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     problems: list[Problem] = document["problems"]
-    pairs += [("problem" if i == 0 else "", repeated(p.text, p.count)) for i, p in enumerate(problems)]
+    pairs += [("problem" if i == 0 else "", f"{repeated(p.text, p.count)} [{p.code}]") for i, p in enumerate(problems)]
     reasons = "; ".join(result.quality.reasons)
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
     title = about.get("title")
@@ -99,7 +99,7 @@ def _recorded(document: Any) -> str:
     fixes, samples = counted(counts["fixes"], "fix"), counted(counts["imu_samples"], "IMU sample")
     if counts["imu_samples"] == 0:
         is_there = any(problem.code in ("imu_too_slow", "imu_implausible") for problem in document["problems"])
-        samples = "IMU samples of no use" if is_there else "no IMU"
+        samples = "no usable IMU samples" if is_there else "no IMU"
     return f"{fixes}, {samples}" + (", smoothed from GPS only" if document["mode"] == "gps-only" else "")
 
 

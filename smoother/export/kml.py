@@ -13,11 +13,12 @@ from smoother.export.channels import Channel, known_channels
 from smoother.export.gpx import longitude
 from smoother.export.rows import Rows
 from smoother.export.source import LapRow, Source
-from smoother.export.text import append, iso_times, lap_clock, lines, parts, xml
+from smoother.export.text import PRODUCT, append, iso_times, lap_clock, lines, parts, xml
 from smoother.report.files import replacing
 from smoother.units import KMH
 
-HEAD = """<?xml version="1.0" encoding="UTF-8"?>
+HEAD = f"""<?xml version="1.0" encoding="UTF-8"?>
+<!-- by {PRODUCT} -->
 <kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2">
 <Document>
 """

@@ -59,7 +59,7 @@ def _comments(source: Source) -> list[str]:
         *lines_told,
         clock,
         "Smoothed positions of the antenna. Columns sigma_ are one standard deviation.",
-        f"The number of satellites is not known after smoothing; {SATELLITES} stands in every row.",
+        f"The number of satellites is not known after smoothing; {SATELLITES} is written in every row.",
     ]
 
 

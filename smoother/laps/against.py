@@ -41,7 +41,7 @@ def driven_against(path: PlanPath, curve: Curve, followed: Followed) -> Iterator
         times += ", .." if len(found) > MOST_TOLD else ""
         laps = sum(each for _, _, each in found)
         text = f"{times} the track was driven the other way round{_way(curve)}, {laps:.1f} laps, which are not timed"
-        yield Problem("driven_against", f"{text}; to have them, split the files there and smooth each part for itself")
+        yield Problem("driven_against", f"{text}; to have them, split the files there and smooth each part")
 
 
 def _places_off(path: PlanPath, followed: Followed) -> IntArray:

@@ -30,9 +30,9 @@ def luck_said(theoretical: float, raw: float, best: float) -> str:
     """Return what the best sectors add up to (raw, s), and how much of it is luck; `best`: the best lap's time."""
     added = f"best sectors add up to {lap_clock(raw)}"
     if theoretical > best - 0.0005:
-        return f"{added}: faster than the best lap only by luck of the timing"
+        return f"{added}: faster than the best lap by chance only"
     luck = round(theoretical, 3) - round(raw, 3)  # as the times that are shown differ
-    return f"{added}, which is {luck:.3f} s too fast by luck of the timing"
+    return f"{added}, which is {luck:.3f} s too fast by chance"
 
 
 def local_time(unix: float) -> str:

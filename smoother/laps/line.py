@@ -2,7 +2,7 @@
 
 A given line is trusted for its place and direction, not for its ends: fixes lie metres beside the truth, so a kart may
 pass beside the gate. What counts is where the line meets the reference line; a second straight that it also meets, if
-it was drawn long, is told apart by the direction or by being farther from the middle of the gate.
+it was drawn long, is recognised by the direction or by being farther from the middle of the gate.
 """
 
 import numpy as np

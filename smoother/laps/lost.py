@@ -15,7 +15,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.results import Corner, LapAnalysis
 
-MOST, FEW = 5, 3  # that are reported, real and unsure; the table has them all
+MOST, FEW = 5, 3  # that are shown, real and unsure; the table has them all
 CLEARLY = 2.0  # sigmas
 
 Kind = Literal["braking", "entry", "minimum", "exit"]

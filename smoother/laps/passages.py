@@ -145,7 +145,7 @@ def _lasting(mask: BoolArray, t: Array, shortest: float) -> list[tuple[int, int]
 
 
 def _is_blind(trajectory: Trajectory, rows: np.ndarray, in_gap: BoolArray) -> bool:
-    """Whether nobody knows where the kart was in a hole of the fixes."""
+    """Whether the position of the kart in a gap of the fixes is unknown."""
     if not in_gap.any():
         return False
     if trajectory.report.mode != "full" or trajectory.sigmas is None:

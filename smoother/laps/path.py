@@ -10,7 +10,7 @@ from smoother.frames import to_left
 from smoother.laps.results import FixPath
 from smoother.trajectory import Trajectory
 
-GAP = 2.0  # s without fixes, after which nobody knows where a kart is that has no inertial sensor
+GAP = 2.0  # s without fixes, after which the position of a kart without an inertial sensor is unknown
 SMOOTHED_OVER = 0.5  # s, of the cubics that give acceleration where there is no inertial sensor
 
 

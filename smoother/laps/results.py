@@ -197,11 +197,11 @@ class Statistics:
     """Figures of the laps that count; NaN where there are too few.
 
     best_lap: index in `laps` of the best, None without; best, best_sigma s. theoretical s: sum of the best sectors with
-    the expected gain from picking the luckiest of noisy times taken out, theoretical_sigma; theoretical_raw s without
-    that correction. rolling s: fastest whole lap from any place of the track to the same place, its luck taken out
-    likewise, rolling_sigma; rolling_raw s as it was seen, rolling_from m, the track distance where that began, and
+    the expected gain from picking the least of noisy times removed, theoretical_sigma; theoretical_raw s without
+    that correction. rolling s: fastest whole lap from any place of the track to the same place, corrected likewise,
+    rolling_sigma; rolling_raw s as it was seen, rolling_from m, the track distance where that began, and
     rolling_t s when. mean, median s; spread s, standard
-    deviation of the laps with the timing noise taken out where that is known and not assumed, 0 within it;
+    deviation of the laps with the timing noise removed where that is known and not assumed, 0 within it;
     within_tenth: how many lie within 0.1 s of the best, itself counted; counted: how many count.
     """
 
@@ -244,7 +244,7 @@ class LapAnalysis:
     without laps. reference_lap: index in `laps` of the lap that deltas refer to, None when it comes from another
     session (then `reference_name` says from where) or there is none. lap_of_row (N,) number of the lap of each row
     of the trajectory, -1 where none; lap_distance (N,) m, track distance since the line, NaN away from the track.
-    track: its name, empty if unknown. problems: what was lived with, for people. no_sideslip: why there is none.
+    track: its name, empty if unknown. problems: what was handled, for people. no_sideslip: why there is none.
     """
 
     laps: tuple[Lap, ...]

@@ -45,15 +45,15 @@ def why_hidden(trajectory: Trajectory, path: PlanPath) -> str:
     if trajectory.sigmas is None:
         return "the estimator gave no sigmas"
     if any(problem.code == BOX_ON_WHEEL for problem in trajectory.report.problems):
-        return "the box turns with the steering wheel, and the nose of the kart is not known"
+        return "the logger turns with the steering wheel, so the heading of the kart is not known"
     if mounting is not None and not mounting.observable:
-        return "how the box sits in the kart could not be found out"
+        return "the mounting of the logger could not be found"
     moving = path.speed > MOVING
     if not moving.any():
         return "the kart was never faster than a walk"
     sigma = float(np.nanmedian(_sigma(trajectory, path)[moving]))
     if not sigma < OBSERVABLE:
-        return f"heading against direction of travel is only sure to ± {sigma / DEG:.1f} deg, a kart slides 3 to 8"
+        return f"its uncertainty is ± {sigma / DEG:.1f} deg, and a kart slides 3 to 8"
     return ""
 
 

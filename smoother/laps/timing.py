@@ -100,7 +100,7 @@ def _once(path: PlanPath, found: Crossings, length: float) -> Crossings:
 def _with_unseen(
     path: PlanPath, followed: Followed, length: float, line: Line, blind: BoolArray, found: Crossings
 ) -> Crossings:
-    """Add passages in holes of the fixes that left the path beside the track, where track distance tells of one."""
+    """Add passages in holes of the fixes that left the path beside the track, where track distance shows one."""
     reached = np.maximum.accumulate(np.where(np.isfinite(followed.distance), followed.distance, -np.inf))
     lap = np.floor((reached - line.distance) / length)
     row = np.flatnonzero((np.diff(lap) == 1.0) & blind[:-1] & ~followed.is_on[:-1])

@@ -126,7 +126,7 @@ def alignment(t: Array, before: Array, after: Array, gravity: float) -> Figure:
     figure = style.new_figure("Level and heading: accelerations at rest before and after rotation", 12.0, 6.0)
     panels = figure.subplots(1, 2, sharey=True)
     for axes, values, names, title in (
-        (panels[0], before, ("x", "y", "z"), "in the box's axes, as read"),
+        (panels[0], before, ("x", "y", "z"), "in the axes of the sensor, as read"),
         (panels[1], after, ("north", "west", "up"), "calibrated and rotated"),
     ):
         for i in range(3):

@@ -27,7 +27,7 @@ class Section:
 
 def write_page(path: Path, title: str, sections: Sequence[Section], refusals: Sequence[tuple[str, str]]) -> None:
     """Write the page; refusals are (procedure, reason). What comes from files is text."""
-    said = element("p", "Each number stands with one standard deviation (sigma).")
+    said = element("p", "Each number has one standard deviation (sigma).")
     body = [
         element("header", element("div", element("h1", title), said), element("div", theme(), class_="settings")),
         element("main", *(part for section in sections for part in _section(section)), *_refused(refusals)),

@@ -1,4 +1,4 @@
-"""Channels at other times than they were logged at: nothing is made up in holes."""
+"""Channels at other times than they were logged at: there are no values in gaps."""
 
 import numpy as np
 

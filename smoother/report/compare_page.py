@@ -272,7 +272,7 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         return []
     note = (
         f"Seconds lost to {compared[0].analysis.reference_name} between the fastest places before and after each "
-        "corner. Bold with a star: real. Among so many losses some are large by luck, so a star takes several times "
+        "corner. Bold with a star: real. Some of so many losses are large by chance, so a star takes several times "
         "the ±; how many is found for each session. The rest is within noise: do not chase it."
     )
     heads = ["", *(corner_name(corner) for corner in corners)]

@@ -33,7 +33,7 @@ PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
 CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
 SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
 STANDING = 2.0  # m/s, below which a kart is not being driven
-TYPICAL_OVER = 1.0  # s, over which a sigma that swings between keyframes is told as one
+TYPICAL_OVER = 1.0  # s, over which a sigma that swings between keyframes is shown as one
 LITTLE_BEYOND = 1.5  # times a limit, up to which it rather widens than cuts
 WIDEST_BAND = 15.0  # deg, one sigma; beyond it a band of attitudes does not widen its axes
 CELLS = 75  # along each side of the g-g diagram
@@ -70,7 +70,7 @@ class Shown:
 def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | None = None) -> list[Path]:
     """Write every figure the session has something for as PNG; return their paths, the main one first.
 
-    `done` is told the share (0..1) that is finished. Figures of an earlier run that no longer apply are removed.
+    `done` gets the share (0..1) that is finished. Figures of an earlier run that no longer apply are removed.
     """
     directory.mkdir(parents=True, exist_ok=True)
     written = []
@@ -239,7 +239,7 @@ def biases(shown: Shown) -> Figure | None:
 
 
 def residuals(shown: Shown) -> Figure | None:
-    """What is left of every fix once delay and slow offset are taken out, over time and as a distribution."""
+    """Residual of every fix without latency and slow offset, over time and as a distribution."""
     fixes = shown.smoothed.report.fixes
     if fixes is None or not len(fixes.index):
         return None
@@ -270,7 +270,7 @@ def sigma(shown: Shown) -> Figure | None:
     sigmas = shown.smoothed.sigmas
     if sigmas is None:
         return None
-    figure = _figure(f"How sure the smoother is (one sigma): {shown.heading}", 12.0, 8.0)
+    figure = _figure(f"Uncertainty (one sigma): {shown.heading}", 12.0, 8.0)
     t = shown.smoothed.t - shown.start
     horizontal = np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])
 

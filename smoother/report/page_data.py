@@ -24,7 +24,7 @@ from smoother.units import DEG, STANDARD_GRAVITY
 
 MOST_RATE = 20.0  # Hz of any trace
 SLOW_RATE = 2.0  # Hz of what changes slowly: sigmas
-FIX_RATE = 4.0  # Hz of what is told of fixes, the worst of each bin
+FIX_RATE = 4.0  # Hz of what is shown of fixes, the worst of each bin
 WITHOUT_LAPS = 60.0  # s around the top speed, compared with the baseline where there is no lap
 CLOUD = 4000  # points of the g-g diagram
 MOST_DRAWN = 300  # laps, five hours of them; a page with a day's would take a browser minutes to open

@@ -28,7 +28,7 @@ from smoother.words import SLOWER_WHERE, counted, duration, loss_digits, speed_d
 SIGMA_SOURCES = {
     "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
     "stored": "The ± of times come from how the position error grew with time, as stored with the results.",
-    "model": "The ± of times assume a usual wander of the GPS, as this session cannot show its own.",
+    "model": "The ± of times assume the usual slow error of a GPS: this session does not show its own.",
     "none": "There are no ± of times: the estimator gave no sigmas.",
 }
 OF_SECTORS = (
@@ -149,7 +149,7 @@ def _rolling(said: Statistics) -> str:
     if said.rolling_from > 0.0:
         text += f", from {said.rolling_from:.0f} m"
     if said.rolling - said.rolling_raw > 0.0005:
-        text += f"; timed as {lap_clock(said.rolling_raw)}, with the luck of the fastest of many"
+        text += f"; timed as {lap_clock(said.rolling_raw)}, not corrected for chance"
     best = said.theoretical if np.isfinite(said.theoretical) else said.best
     return text if said.rolling > best - 0.0005 else f"{text}; it may begin on laps that do not count"
 
@@ -207,7 +207,7 @@ def lap_section(told: Told) -> list[Element]:
         rows.append(row(*cells, class_="best" if is_best else "" if lap.is_valid else "out"))
     source = laps.start_line.source if laps.start_line is not None else ""
     line = {
-        "found": "The start/finish line was found where timing is surest. ",
+        "found": "The start/finish line was found where timing is most accurate. ",
         "file": "The start/finish line is the one in the recording. ",
     }.get(source, "")
     length = f"A lap is {laps.reference.length:.0f} m long. " if laps.reference is not None else ""
@@ -265,14 +265,14 @@ def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
         return []
     lost, title = largest_losses(laps), element("h3", "Where time was lost", id="lost")
     if not any(np.isfinite(corner.time_lost_sigma).any() for corner in laps.corners):
-        text = f"How sure the losses to {against} are can not be told of this session; none is called real."
+        text = f"This session does not show the uncertainty of the losses to {against}; none is called real."
         return [title, element("p", text)]
     if not lost:
-        text = f"Nowhere for sure: what the laps lost to {against} in single corners is within what luck does."
+        text = f"Nowhere for sure: what the laps lost to {against} in single corners is within the uncertainty."
         likely = [_lost_item(loss, laps) for loss in likely_losses(laps)]
         if not likely:
             return [title, element("p", text)]
-        unsure = element("p", f"{text} What is likeliest, all of it unsure:")
+        unsure = element("p", f"{text} The likeliest, none of them certain:")
         return [title, unsure, element("ol", *likely, class_="soft")]
     note = f"The largest losses to {against} that are real, and what was clearly different there."
     items = (_lost_item(loss, laps) for loss in lost)
@@ -306,7 +306,7 @@ def stars_note(corners: Sequence[Corner]) -> str:
     """What a star beside a loss says, and how many times its sigma it takes."""
     times = number(corners[0].real_from, 1)
     return (
-        f"Bold with a star: real. A loss must be {times} times its ±, because among so many some are large by luck. "
+        f"Bold with a star: real. A loss must be {times} times its ±, because some of so many are large by chance. "
         "The rest is within noise: do not chase it."
     )
 
@@ -375,7 +375,7 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         rows.append(row(*cells))
     title = f"Corners on lap {laps.laps[shown].number}"
     slide = (
-        " Slide: how far the nose points into the corner, beyond the path: in the trace of sideslip that is + in a "
+        " Slide: how far the kart points into the corner, beyond the path: in the trace of sideslip that is + in a "
         "right corner, − in a left one."
         if slides
         else ""
@@ -393,7 +393,7 @@ def _speeds_are_sure(laps: LapAnalysis, shown: int) -> list[Child]:
         return []
     entry, least, leaving = (speed_span(float(one)) for one in np.median(known, axis=0))
     sure: list[Child] = [
-        " Speeds are sure to ± ",
+        " Uncertainty of speeds: ± ",
         entry,
         " on entry, ± ",
         least,
@@ -421,7 +421,7 @@ def _lost_north(told: Told) -> list[Element]:
         return []
     text = (
         "Without a calibrated compass nothing holds the yaw of the baseline: it comes from the first minute's motion "
-        "and drifts from there. The older method depends on a calibrated box (smooth calibrate); the smoother does not."
+        "and drifts from there. The baseline depends on a calibrated logger (smooth calibrate); the smoother does not."
     )
     return [element("p", text, class_="soft")]
 

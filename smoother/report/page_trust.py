@@ -6,23 +6,17 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.check import FARTHER_AWAY
 from smoother.laps.results import LapAnalysis
 from smoother.laps.sigma import least_real
+from smoother.problems import remedy
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_sections import Told, speed_span, speed_unit
 from smoother.report.page_words import DASH, number
 from smoother.report.summary import is_told, known_axes, mounting_angles, smoothing_time, told_problems
-from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, WHITENED, Identified
+from smoother.samples import Problem
+from smoother.trajectory import WHITENED, Identified
 from smoother.units import DEG
 from smoother.words import measured, repeated
-
-# what a user can do about problems that are lived with, beside what the check of the recording says
-_REMEDIES: Mapping[str, str] = {
-    IMU_SHAKEN: f"IMU: {FARTHER_AWAY}, or sample faster with the sensor's low-pass filter on",
-    BOX_ON_WHEEL: "IMU: mount the box on the frame, not on the steering wheel: roll, yaw and sideslip are then the "
-    "kart's",
-}
 
 
 def trust(told: Told) -> list[Element]:
@@ -32,44 +26,48 @@ def trust(told: Told) -> list[Element]:
         verdict = element("p", element("strong", "Yes: it passed its own quality gate.", class_="good"))
     else:
         reasons = "; ".join(quality.reasons)
-        verdict = element("p", element("strong", f"No, not as it stands: {reasons}.", class_="bad"))
+        verdict = element("p", element("strong", f"No: {reasons}.", class_="bad"))
     sentences = [element("li", text) for text in _trust_sentences(told)]
     findings = [f for f in told.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
-    problems = told_problems(told.session, told.smoothed.report)
-    codes = {problem.code for problem in problems}
-    warned += [element("li", text) for code, text in _REMEDIES.items() if code in codes]
-    said = [element("li", repeated(p.text, p.count)) for p in problems]
+    problems = [_problem(problem) for problem in told_problems(told.session, told.smoothed.report)]
     made = [verdict, element("ul", *sentences)]
-    if said:
-        made += [element("h3", "What was lived with"), element("ul", *said)]
+    if problems:
+        made += [element("h3", "Problems of the recording"), element("ul", *problems)]
     if warned:
-        made += [element("h3", "What would make it better"), element("ul", *warned)]
+        made += [element("h3", "Check of the recording"), element("ul", *warned)]
     return made
+
+
+def _problem(problem: Problem) -> Element:
+    """What was found, what to do about it, and the code under which the documents explain it."""
+    advice = remedy(problem.code)
+    todo = (element("br"), f"What to do: {advice}") if advice else ()
+    return element("li", repeated(problem.text, problem.count), " ", element("code", problem.code), *todo)
 
 
 def _trust_sentences(told: Told) -> Iterator[Child]:
     sigmas, said = told.smoothed.sigmas, told.statistics
     if sigmas is not None:
         across = float(np.nanmedian(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])))
-        yield f"The place on the earth is sure to ± {number(across, 1)} m (one sigma), with the slow wander of the GPS."
+        yield f"Absolute position: ± {number(across, 1)} m (one sigma), the slow error of the GPS included."
         track = sigmas.track[np.isfinite(sigmas.track)]
         if track.size:
-            yield f"The shape of the line on the track is sure to ± {number(float(np.median(track)), 2)} m."
+            yield f"Line on the track, without that slow error: ± {number(float(np.median(track)), 2)} m."
         typical = speed_span(float(np.nanmedian(sigmas.speed)), 2)
-        yield element("span", "Speed is sure to ± ", typical, " ", speed_unit(), ".")
+        yield element("span", "Speed: ± ", typical, " ", speed_unit(), ".")
     if said is not None and np.isfinite(said.best_sigma):
         alike = _alike(told.laps)
         enough = f"; two laps that differ by less than {number(alike, 2)} s may be equally fast" if alike > 0.0 else ""
-        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s{enough}."
+        yield f"Best lap: ± {number(said.best_sigma, 3)} s{enough}."
     measures = told.quality.measures
     if "far_fix_share" in measures:
-        yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes lie far from the path."
+        yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes are far from the path."
     fixes = told.smoothed.report.fixes
     if fixes is not None and len(fixes.index):
         doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
         unused = len(told.session.gnss) - used
-        weighed = f"{doubted} given less than half their weight"
+        weighed = f"{doubted} of them with less than half their weight"
         yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {weighed}."
 
 
@@ -95,7 +93,7 @@ _MEASURES: Mapping[str, tuple[str, str, int]] = {
     "gyro_vibration_dps": ("vibration, turn rate rms", "deg/s", 0),
     "accel_clipped_share": ("clipped acceleration samples", "%", 2),
     "gyro_clipped_share": ("clipped turn rate samples", "%", 2),
-    "mag_rate_hz": ("compass samples a second", "", 1),
+    "mag_rate_hz": ("magnetometer samples a second", "", 1),
 }
 
 
@@ -111,7 +109,7 @@ def recording_table(told: Told) -> Element:
 
 
 def residual_table(told: Told) -> Element:
-    """What was left over of each kind of measurement."""
+    """The residuals of each kind of measurement."""
     rows = [
         row(
             _RESIDUALS.get(name, name.replace("_", " ").replace("gps", "GPS")),
@@ -126,35 +124,35 @@ def residual_table(told: Told) -> Element:
         "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
         "noise was taken too small"
     )
-    return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption, "tight")
+    return table(["", "count", "rms", "in sigma", "little weight"], rows, caption, "tight")
 
 
 _RESIDUALS = {
-    "heading": "compass",
+    "heading": "magnetometer",
     "slip": "wheels, sideways",
     "inertial": "motion sensor",
-    "bias_walk": "drift of the motion sensor",
+    "bias_walk": "bias drift of the motion sensor",
 }
 _NAMES = {
-    "gps_position_latency": "GPS position delay",
-    "gps_velocity_latency": "GPS speed delay",
+    "gps_position_latency": "GPS position latency",
+    "gps_velocity_latency": "GPS speed latency",
     "gps_velocity_response": "time over which the receiver smooths its speed",
-    "lever_arm_b": "antenna from the box: forward, left, up",
-    "R_bs": "box in the kart: roll, pitch, yaw",
+    "lever_arm_b": "antenna from the logger: forward, left, up",
+    "R_bs": "mounting of the logger: roll, pitch, yaw",
     "slip_sigma": "slide of the kart, how it differs between hard corners",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer behind gyroscope",
-    "mag_hard_iron": "iron beside the compass, on each axis of the box",
-    "mag_heading_offset": "compass off by",
-    "imu_clock_drift": "samples' clock against that of the fixes",
+    "mag_hard_iron": "hard iron at the magnetometer, on each axis",
+    "mag_heading_offset": "heading offset of the magnetometer",
+    "imu_clock_drift": "IMU clock against that of the fixes",
     "gps_position_noise": "GPS position noise: north, west, up",
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
-    "gps_offset_sigma": "GPS wander: north, west, up",
-    "gps_offset_tau": "GPS wander time",
-    "gps_offset_change": "GPS wander over one lap",
-    "accel_rectification": "false acceleration by vibration, on each axis of the box",
-    "accel_rectification_by_rate": "false acceleration by rocking of the box, on each axis",
+    "gps_offset_sigma": "GPS slow error: north, west, up",
+    "gps_offset_tau": "GPS slow error, time constant",
+    "gps_offset_change": "GPS slow error, change over one lap",
+    "accel_rectification": "acceleration offset by vibration, on each axis",
+    "accel_rectification_by_rate": "acceleration offset by rocking, on each axis",
 }
 
 

@@ -93,7 +93,7 @@ def smoothing_time(found: Identified) -> tuple[float, float] | None:
 
 
 def known_axes(name: str, found: Identified) -> slice:
-    """Which components of a value are told. Of an arm that nobody stated: forward and left, since a drive on the level
+    """Which components of a value are shown. Of an arm that nobody stated: forward and left, since a drive on the level
     does not show how high the antenna is."""
     return slice(0, 2) if name == "lever_arm_b" and found.source != "configured" else slice(None)
 

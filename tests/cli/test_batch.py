@@ -84,7 +84,7 @@ def test_results_and_index_go_where_they_are_asked_to(day: Path, tmp_path: Path,
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "which session"),
+        ([], "no session given"),
         (["nowhere"], "no such file"),
         (["."], "no session found"),
         ([".", "--jobs", "0"], "--jobs"),

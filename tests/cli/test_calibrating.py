@@ -132,7 +132,7 @@ def test_a_simulated_session_is_not_calibrated_by_the_folder_above(tmp_path: Pat
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["calibrate"], "which session"),
+        (["calibrate"], "no session given"),
         (["calibrate", "nowhere"], "no such file"),
         (["calibrate", ".", "--place", "here"], "wanted two numbers"),
         (["calibrate", ".", "--date", "May"], "wanted a date"),

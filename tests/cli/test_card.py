@@ -55,7 +55,7 @@ def test_every_recording_of_a_card_is_checked(card: Path, capsys: Captured) -> N
 def test_commands_for_one_session_ask_which(card: Path, capsys: Captured, command: str) -> None:
     assert run([command, str(card), *(["gpx"] if command == "export" else [])]) == 2
     told = capsys.readouterr().err
-    assert "2 recordings (1 LOG00001.KLG, 2 LOG00002.KLG); say which with --recording N" in told
+    assert "2 recordings (1 LOG00001.KLG, 2 LOG00002.KLG); select one with --recording N" in told
 
 
 def test_results_of_each_recording_are_kept_in_a_folder_of_their_own(card: Path, capsys: Captured) -> None:

@@ -247,7 +247,7 @@ def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["laps"], "which session?"),
+        (["laps"], "no session given"),
         (["laps", "SESSION", "--line", "nowhere"], "neither a track file"),
         (["laps", "SESSION", "--line", "tinbran"], "did you mean tinbarn?"),
         (["laps", "SESSION", "--line", "gone.geojson"], "cannot be read"),

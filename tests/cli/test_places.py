@@ -95,5 +95,5 @@ def test_exports_of_results_that_changed_are_named(monday: Path, capsys: Capture
     assert run([str(monday), *QUICK]) == 0
     assert "export again" not in capsys.readouterr().err  # the same results
     assert run([str(monday), *QUICK, "--rate", "25"]) == 0
-    assert f"{exported.name} of an earlier run stayed there" in capsys.readouterr().err
+    assert f"{exported.name} of an earlier run was kept" in capsys.readouterr().err
     assert exported.read_bytes() == before and not os.path.lexists(monday / exported.name)

@@ -101,10 +101,10 @@ def test_the_version_is_the_package_s(capsys: pytest.CaptureFixture[str]) -> Non
         (["--wat"], "--wat"),
         (["nowhere"], "nowhere: no such file or folder"),
         (["chek"], "did you mean check?"),
-        (["--json"], "which session?"),
+        (["--json"], "no session given"),
         (["--solver", "magic", "x"], "magic"),
-        (["check"], "which session?"),
-        (["simulate"], "where to?"),
+        (["check"], "no session given"),
+        (["simulate"], "no folder given"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(

@@ -25,7 +25,7 @@ def test_stdout_is_a_short_table_and_the_report_s_path_its_last_line(
     assert Path(printed.last).stat().st_size > 10_000
     assert len(printed.out.splitlines()) < 60
     assert re.search(r"2 min 10 s, \d\.\d+ km", printed.out)
-    assert "GPS position delay" in printed.out and "±" in printed.out
+    assert "GPS position latency" in printed.out and "±" in printed.out
     for lap in summary["laps"]:
         if lap["lap_time_s"] is not None:
             row = rf"{lap['lap_time_s']:.3f}\s+{lap['lap_time_sigma_s']:.3f}\b"
@@ -104,7 +104,7 @@ json.dumps = broken
         (["--wat", "SESSION"], "--wat"),
         (["--solver", "magic", "SESSION"], "magic"),
         (["nowhere"], "nowhere: no such file or folder"),
-        (["check"], "which session?"),
+        (["check"], "no session given"),
         (["laps", "SESSION", "--line", "nowhere"], "nowhere"),
         (["export", "SESSION", "pdf"], "pdf"),
         (["compare", "SESSION"], "two sessions"),

@@ -307,7 +307,7 @@ def test_a_slide_has_its_sigma_and_is_counted_outwards_in_either_direction(drive
     assert slid.sigmas is not None
     unsure = Trajectory(**{**vars(slid), "sigmas": replace(slid.sigmas, attitude=np.full((len(slid), 3), 0.06))})
     hidden = analyse(unsure, fixes(unsure))
-    assert "only sure to" in hidden.no_sideslip
+    assert "its uncertainty is ±" in hidden.no_sideslip
     assert all(np.isnan(corner.slide).all() for corner in hidden.corners)
     report = EstimateReport(problems=(Problem(BOX_ON_WHEEL, "turns"),))
     steered = Trajectory(**{**vars(slid), "report": report})

@@ -35,4 +35,4 @@ def test_the_zone_has_a_name_and_two_where_the_clock_was_changed() -> None:
 
 def test_the_luck_of_the_timing_is_what_the_times_that_are_shown_differ_by() -> None:
     said = luck_said(65.5634, 65.5556, 66.0)
-    assert said == "best sectors add up to 1:05.556, which is 0.007 s too fast by luck of the timing"
+    assert said == "best sectors add up to 1:05.556, which is 0.007 s too fast by chance"

@@ -215,7 +215,7 @@ def test_a_part_of_the_track_is_looked_at_closely_and_left_again(opened: Any) ->
 def test_a_loss_is_shown_by_the_laps_and_the_part_where_it_was(opened: Any) -> None:
     buttons = opened.find_elements("css selector", "button.look")
     if not buttons:
-        assert "Nowhere for sure" in opened.find_element("id", "lost").find_element("xpath", "following::p").text
+        assert "Nowhere:" in opened.find_element("id", "lost").find_element("xpath", "following::p").text
         return
     item = buttons[-1].find_element("xpath", "..").text
     whole = str(opened.find_element("css selector", "#traces svg").get_attribute("textContent"))
@@ -352,13 +352,13 @@ def test_what_explains_a_chart_stands_whole_above_it(
         expected = [
             "(s), band: two sigma",
             "sideways (g), left +",
-            "sideslip (deg), + nose right of the path, band: two sigma",
+            "sideslip (deg), + heading right of the path, band: two sigma",
             "line: metres left of the mean line, band: two sigma, grey: within noise",
         ]
         if name == "simulated_page":
             expected += [
-                "sure to (m, one sigma): position (solid), line on the track (dashed)",
-                "each fix: metres left over (orange: given little weight)",
+                "uncertainty (m, one sigma): position (solid), line on the track (dashed)",
+                "each fix: residual in metres (orange: little weight)",
             ]
         assert [text for text in expected if text not in told] == []
         assert browser.execute_script(PAINTED_OUTSIDE) == []

@@ -37,7 +37,7 @@ LONGEST_STEP = 0.5  # s; over a longer gap of the IMU nothing is known about the
 class BaselineOptions:
     """rate Hz of filter and rows; alpha m^2/s^4 per step, eq. 2.54; beta rad/s and zeta rad/s^2, listing 5.G.
 
-    alpha: the best over simulated sessions of all presets, by benchmarks/baseline_alpha.py (docs/baseline_alpha.md).
+    alpha: the best over simulated sessions of all presets (benchmarks/baseline_alpha.py; docs/tables).
     accel_covariance: eq. 2.67 "in motion", or "at rest" as the thesis has it; see noise.py. default_fix_sigma m where
     the receiver reports none; default_accel_sigma m/s^2 where neither motion nor rest tells.
     """

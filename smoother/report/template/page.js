@@ -237,7 +237,7 @@
     { name: "delta", title: () => `time lost to ${data.against_name} (s), band: two sigma`, height: 140, sigma: "delta_sigma", least: 0.1 },
     { name: "longitudinal", title: () => "driving + and braking − (g)", height: 120, scale: () => 1 / 9.80665, sureOnly: true, least: 0.5 },
     { name: "sideways", title: () => "sideways (g), left +", height: 120, scale: () => 1 / 9.80665, sureOnly: true, least: 0.5 },
-    { name: "sideslip", title: () => "sideslip (deg), + nose right of the path, band: two sigma", height: 130, sigma: "sideslip_sigma", least: 10 },
+    { name: "sideslip", title: () => "sideslip (deg), + heading right of the path, band: two sigma", height: 130, sigma: "sideslip_sigma", least: 10 },
     { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
   ];
   function drawTraces(wanted) {
@@ -476,9 +476,9 @@
     const x1 = quality.t[quality.t.length - 1];
     const panels = [];
     if (quality.sigma) {
-      panels.push({ title: "sure to (m, one sigma): position (solid), line on the track (dashed)", series: [{ x: quality.t, y: quality.sigma, slot: 0, dash: "" }, { x: quality.t, y: quality.sigma_track, slot: 1, dash: "7 3" }] });
+      panels.push({ title: "uncertainty (m, one sigma): position (solid), line on the track (dashed)", series: [{ x: quality.t, y: quality.sigma, slot: 0, dash: "" }, { x: quality.t, y: quality.sigma_track, slot: 1, dash: "7 3" }] });
     }
-    if (quality.fix_t) panels.push({ title: "each fix: metres left over (orange: given little weight)", series: [{ x: quality.fix_t, y: quality.residual, slot: 0, dots: true }, { x: quality.fix_t, y: quality.doubted, slot: 1, dots: true }], cap: quality.cap });
+    if (quality.fix_t) panels.push({ title: "each fix: residual in metres (orange: little weight)", series: [{ x: quality.fix_t, y: quality.residual, slot: 0, dots: true }, { x: quality.fix_t, y: quality.doubted, slot: 1, dots: true }], cap: quality.cap });
     if (quality.interval) panels.push({ title: "seconds between fixes", series: [{ x: quality.fix_all_t, y: quality.interval, slot: 2, dots: true }] });
     const wide = room("quality-time", wanted), heights = panels.map((p) => grown(150, p.title, wide));
     const total = heights.reduce((sum, height) => sum + height, 0);
