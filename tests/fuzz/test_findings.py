@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzz_corpus import CORPUS, FIXES, gpx_points, write_files
-from smoother.session.readers.gpx import read_gpx
 
 from smoother.calibration import load_calibration
 from smoother.errors import ConfigError, SessionError
 from smoother.laps.tracks import load_tracks, named_tracks
 from smoother.session.files import list_files
 from smoother.session.load import load_raw
+from smoother.session.readers.tracks import read_track as read_gpx
 from smoother.session.readers.vbo import read_vbo
 from smoother.session.settings import load_settings
 

@@ -10,7 +10,7 @@ from smoother import api
 from smoother.arrays import Array
 from smoother.cli.pipeline import calibrated, read
 from smoother.laps.analysis import LapOptions, analyse
-from smoother.laps.results import Lap, LapAnalysis
+from smoother.laps.results import FixPath, GivenLines, Lap, LapAnalysis
 from smoother.laps.stage import Stated, fix_path, options_on
 from smoother.laps.tracks import TrackFile, line_from_text, load_tracks
 from smoother.samples import Session
@@ -26,8 +26,19 @@ def smoothed(directory: Path) -> tuple[Session, Trajectory]:
     return session, api.smooth(session, imu=False)
 
 
-def stored(directory: Path, name: str) -> Array:
-    return pl.read_csv(directory / name, comment_prefix="#")["lap_time_s"].to_numpy()
+def stored(directory: Path, name: str, column: str = "lap_time_s") -> Array:
+    return pl.read_csv(directory / name, comment_prefix="#")[column].to_numpy()
+
+
+def line_at(path: FixPath, times: Array) -> Array:
+    """Ends (2, 2) m of a line of 20 m across the way, through where the path was in the median of some times (K,) s."""
+    before, at, after = (
+        np.stack([np.interp(times + by, path.t, axis) for axis in path.position_n.T], axis=-1)
+        for by in (-0.2, 0.0, 0.2)
+    )
+    ahead = np.median(after - before, axis=0)
+    across = 10.0 * np.array([-ahead[1], ahead[0]]) / np.linalg.norm(ahead)
+    return np.median(at, axis=0) + np.stack([across, -across])
 
 
 def analysed(session: Session, trajectory: Trajectory, *tracks: TrackFile) -> LapAnalysis:
@@ -64,10 +75,16 @@ def test_no_lap_of_a_recording_is_missing(data_directory: Path, name: str, line:
     assert [("pit" in lap.reasons) for lap in laps] == slow.tolist()
 
 
-def test_adria_has_its_five_laps_with_nothing_given(data_directory: Path) -> None:
+def test_adria_has_its_five_laps_with_nothing_given_and_their_times_where_its_logger_timed(
+    data_directory: Path,
+) -> None:
     directory = data_directory / "kart_adria_first_half"
     session, trajectory = smoothed(directory)
-    laps = timed(analyse(trajectory, fix_path(session), LapOptions()))
-    times = stored(directory, "laps_logged.csv")
-    assert len(laps) == 5
-    assert [lap.time for lap in laps[1:]] == pytest.approx(times[1:], abs=0.1)  # on another line than the logger's
+    path = fix_path(session)
+    assert len(timed(analyse(trajectory, path, LapOptions()))) == 5
+    times, starts = stored(directory, "laps_logged.csv"), stored(directory, "laps_logged.csv", "start_s")
+    line = GivenLines(line_at(path, starts))
+    laps = timed(analyse(trajectory, path, LapOptions(lines=line)))
+    assert [lap.time for lap in laps] == pytest.approx(
+        times, abs=0.1
+    )  # its line is not stored, only when it was passed
