@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,6 +65,7 @@ def test_it_has_the_looks_of_the_other_pages_and_asks_for_nothing(page: Path) ->
 @needs_chromium
 def test_it_fits_a_telephone_shows_its_figures_and_follows_the_theme(page: Path) -> None:
     from selenium.webdriver.support.select import Select
+    from selenium.webdriver.support.wait import WebDriverWait
 
     with chromium() as browser:
         phone = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
@@ -78,8 +80,12 @@ def test_it_fits_a_telephone_shows_its_figures_and_follows_the_theme(page: Path)
             theme.select_by_value(name)
             looks.append(browser.execute_script("return getComputedStyle(document.body).backgroundColor"))
         assert looks == ["rgb(20, 24, 28)", "rgb(255, 255, 255)", "rgb(20, 24, 28)"]
-        browser.refresh()
-        assert browser.execute_script("return getComputedStyle(document.body).backgroundColor") == looks[-1]
+
+        def is_dark_again(browser: Any) -> bool:
+            browser.refresh()  # what a page stores reaches the process of the next one with some delay
+            return bool(browser.execute_script("return getComputedStyle(document.body).backgroundColor") == looks[-1])
+
+        assert WebDriverWait(browser, 10).until(is_dark_again)
         assert browser.get_log("browser") == []
 
 

@@ -15,7 +15,7 @@ from smoother.arrays import Array
 from smoother.samples import Problem
 from smoother.session.readers.cells import numbers_of
 from smoother.session.readers.dates import day_of, zone_offset
-from smoother.session.rows import over_midnight
+from smoother.session.rows import LATEST, over_midnight
 from smoother.units import DAY
 
 CLOCK = (  # hours, minutes, seconds, half of the day, zone
@@ -187,6 +187,8 @@ def zone_note(file: str) -> Problem:
 
 def moments_of_numbers(numbers: Array, unit: str) -> Moments:
     """Times by numbers (N,) : in their unit where it is known, else of whichever kind explains them."""
+    finest = 1.0 if unit == UNIX else PARTS.get(unit, min(PARTS.values()))
+    numbers = np.where(np.abs(numbers) * finest < LATEST, numbers, np.nan)  # what no clock shows is damaged
     if unit == UNIX:
         return Moments(numbers, has_date=True)
     known = numbers[np.isfinite(numbers)]
