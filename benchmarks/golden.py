@@ -160,19 +160,21 @@ def compare(folder: Path, tables: dict[str, Texts], rows: dict[str, set[str]]) -
     return count
 
 
-def store(folder: Path, tables: dict[str, Texts], rows: dict[str, set[str]], keep: bool) -> None:
-    """Write tables; an edition that is to be kept is refused where a table of it exists."""
+def store(folder: Path, tables: dict[str, Texts], rows: dict[str, set[str]], keep: bool, whole: bool = True) -> None:
+    """Write tables, or, if not `whole`, some rows of them; an edition that is to be kept is refused where it exists."""
     for table, names in rows.items():
         missing = names - {row for row, _ in tables.get(table, {})}
         if missing:
             raise SystemExit(f"{table}: not written, rows are missing: {', '.join(sorted(missing))}")
         if keep and (folder / f"{table}.txt").exists():
             raise SystemExit(f"{folder.name}/{table}.txt: this edition is never rewritten")
-    for table in rows:
-        write_table(folder / f"{table}.txt", tables[table])
+    for table, names in rows.items():
+        path = folder / f"{table}.txt"
+        before = {} if whole or not path.exists() else read_table(path)[0]
+        write_table(path, {key: text for key, text in before.items() if key[0] not in names} | tables[table])
     path = folder / f"{COSTS}.txt"
     costs = read_table(path)[0] if path.exists() else {}
-    prefixes = tuple(f"{table}." for table in rows)
+    prefixes = tuple(f"{table}." for table in rows) if whole else ()
     others = {key: text for key, text in costs.items() if not key[0].startswith(prefixes)}
     write_table(path, others | tables[COSTS])
 
@@ -186,15 +188,13 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the quick rows alone")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--against", choices=(PRESENT, FIRST), default=PRESENT)
-    parser.add_argument("--write", nargs="?", const=PRESENT, choices=(PRESENT, FIRST), help="store the tables")
+    parser.add_argument("--write", nargs="?", const=PRESENT, choices=(PRESENT, FIRST), help="store them")
     arguments = parser.parse_args()
     bench = default_bench(arguments.smooth)
     every = jobs_of(recorded=bench.recordings is not None)
     names = arguments.only.split(",") if arguments.only else list(every)
     if unknown := set(names) - every.keys():
         parser.error(f"no such table: {', '.join(sorted(unknown))}; there are {', '.join(every)}")
-    if arguments.write and (arguments.quick or arguments.row):
-        parser.error("--write stores whole tables: not with --quick or --row")
     chosen = {
         table: [
             job
@@ -209,7 +209,8 @@ def main() -> None:
         parser.error(f"{FIRST}: this edition is never rewritten")
     tables = tables_of(run_all(bench, wanted, arguments.jobs))
     if arguments.write:
-        store(STORED / arguments.write, tables, rows, keep=arguments.write == FIRST)
+        whole = not (arguments.quick or arguments.row)
+        store(STORED / arguments.write, tables, rows, keep=arguments.write == FIRST, whole=whole)
         return
     sys.exit(1 if compare(STORED / arguments.against, tables, rows) else 0)
 
