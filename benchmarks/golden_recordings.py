@@ -18,6 +18,8 @@ Reference = Callable[[Bench, Path, Path, Mapping[str, Any]], Columns]
 SITE = 49.0, 8.43  # degrees, where the drive is put whose truth has no position on the earth
 METRES_PER_DEGREE = 111_200.0
 FIX_NOISE, FIX_OFFSET, FIX_OFFSET_TAU = 0.2, 1.5, 60.0  # m, m, s: of fixes made from a truth
+SONOMA_LINE = "38.16140,-122.45462;38.16168,-122.45462"
+SONOMA_LAPS = np.array([128.1, 126.3, 127.8, 126.4, 127.9, 130.6, 126.8])  # s
 GATE = 8.0  # m, half the width of a line laid through where the logger's laps began
 
 
@@ -92,6 +94,11 @@ def against_logged_starts(bench: Bench, folder: Path, recording: Path, summary: 
 def against_track(bench: Bench, folder: Path, recording: Path, summary: Mapping[str, Any]) -> Columns:
     """Lap times against those the logger stored, over its own line."""
     return logged_columns(bench, folder, recording / "track_OKC.json", read_table(recording / "laps_logged.csv"))
+
+
+def against_lap_counter(bench: Bench, folder: Path, recording: Path, summary: Mapping[str, Any]) -> Columns:
+    """Lap times against those of Sonoma's own lap counter, over the line where it changes."""
+    return logged_columns(bench, folder, SONOMA_LINE, {"lap_time_s": SONOMA_LAPS})
 
 
 def logged_columns(bench: Bench, folder: Path, line: str | Path, logged: Table) -> Columns:
@@ -183,7 +190,7 @@ FOLDERS = (
     Recording("vbo_lignano", "kart_lignano_racebox/raw_racebox_lignano.vbo"),
     Recording("vbo_massa", "kart_massafinalese_racechrono/raw_racechrono_massa.vbo"),
     Recording("aim_adria", "aim_xrk_adria_first_half"),
-    Recording("racecapture_sonoma", "racecapture_sonoma"),
+    Recording("racecapture_sonoma", "racecapture_sonoma", against_lap_counter),
     Recording("gopro_hero7", "gopro_hero7_raw"),
     Recording("gopro_hero11", "gopro_hero11_raw"),
     Recording("gopro_karma", "gopro_karma"),

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import RawSession
 from smoother.session.load import load_raw
@@ -53,15 +54,16 @@ def iso(t: float, digits: int = 3) -> str:
     return moment.strftime("%Y-%m-%dT%H:%M:%S") + (f".{moment.microsecond // 1000:03d}" if digits else "") + "Z"
 
 
-def racecapture(folder: Path) -> None:
+def racecapture(folder: Path, accel: Array = ACCEL, turns: Array = GYRO[:, ::-1] / DEG) -> None:
+    """A log with accelerations (N, 3) in m/s^2 and rates (N, 3) of yaw, pitch and roll in deg/s."""
     head = ['"Interval"|"ms"|0|0|1', '"Utc"|"ms"|0|0|1']
     head += [f'"Accel{axis}"|"G"|-3.0|3.0|50' for axis in "XYZ"]
     head += [f'"{name}"|"Deg/Sec"|-120|120|50' for name in ("Yaw", "Pitch", "Roll")]
     head += ['"Latitude"|"Degrees"|-180.0|180.0|10', '"Longitude"|"Degrees"|-180.0|180.0|10', '"Speed"|"MPH"|0|150|10']
     lines = [",".join(head)]
     for k, t in enumerate(IMU_T):
-        force = [f"{x / STANDARD_GRAVITY:.6f}" for x in ACCEL[k]]
-        turn = [f"{x / DEG:.4f}" for x in GYRO[k][::-1]]
+        force = [f"{x / STANDARD_GRAVITY:.6f}" for x in accel[k]]
+        turn = [f"{x:.4f}" for x in turns[k]]
         i, is_fix = divmod(k, IMU_RATE // RATE)
         place = ["", "", ""] if is_fix else [f"{LAT[i]:.8f}", f"{LON[i]:.8f}", f"{SPEED[i] / 0.44704:.4f}"]
         utc = "" if is_fix else f"{1000 * (START + t):.0f}"
@@ -115,6 +117,20 @@ def gopro_tables(folder: Path) -> None:
         for t, lat, lon, v in zip(T, LAT, LON, SPEED, strict=True)
     ]
     (folder / f"{stem}-GPS5.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+
+
+def test_pitch_turns_about_the_axis_across_whichever_that_is(tmp_path: Path) -> None:
+    """RaceCapture's x is across in its older firmware and along in its newer; roll and pitch are called the same."""
+    yaw = 0.3 + 0.2 * np.sin(IMU_T)
+    across, noise = RADIUS * yaw**2, RNG.normal(0.0, 0.3, (IMU_T.size, 3))
+    for axis, order in ((0, [1, 2, 0]), (1, [2, 1, 0])):
+        accel = noise + np.array([0.0, 0.0, 9.8])
+        accel[:, axis] += across
+        turn = np.column_stack([yaw, noise[:, :2]]) / DEG
+        racecapture(tmp_path, accel, turn)
+        imu = load_raw(tmp_path).imu
+        assert imu is not None
+        np.testing.assert_allclose(imu.gyro, turn[:, order] * DEG, atol=2e-5)
 
 
 @pytest.mark.parametrize("write", [racecapture, sensor_logger, phyphox, gopro_tables])

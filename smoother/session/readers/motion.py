@@ -13,6 +13,7 @@ from smoother.session.readers.sheet import Sheet
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
 OF_VEHICLE = ("inlineacc", "lateralacc", "rollrate", "yawrate")  # axes of which the maker does not state
 LONGEST_APART = 0.1  # s between the samples of one sensor, beyond which those of another are not interpolated
+LIKE = 0.25  # squared correlation of what is across with the yaw rate; a car has 0.9, noise next to none
 FEWEST_SAMPLES = 100  # that show by noise which of them were measured
 
 Timed = tuple[Sheet, Array]  # a sheet and the times (N,) s of its rows
@@ -28,11 +29,14 @@ def imu_of(file: str, timed: Sequence[Timed]) -> tuple[RawImu | None, list[Probl
     (of_force, t), (of_rate, rate_t) = (both, both) if both is not None else (_best(forces), _best(rates))
     accel = np.stack([of_force.value(axis) for axis in FORCES], axis=-1)
     gyro = np.stack([of_rate.value(axis, _usual_rate(of_force)) for axis in RATES], axis=-1)
+    called = [column.name.lower() for axis in RATES if (column := of_rate.column(axis)) is not None]
     if of_force is of_rate:
         gyro = at_accelerations(t, accel, rate_t, gyro)
     else:
         gyro = _interpolated(t, rate_t, gyro)
     accel = _upright(of_force, accel)
+    if called == ["roll", "pitch", "yaw"] and x_is_across(accel, gyro[:, 2]):
+        gyro = gyro[:, [1, 0, 2]]
     rows = sampled_rows(t, [*accel.T, *gyro.T])
     t, accel, gyro = t[rows], accel[rows], gyro[rows]
     present = np.all(np.isfinite(accel), axis=1) & np.all(np.isfinite(gyro), axis=1) & np.isfinite(t)
@@ -62,6 +66,15 @@ def _upright(of_force: Sheet, accel: Array) -> Array:
     """Forces (N, 3) of a sensor whose maker counts z downwards, and turns of it upwards."""
     down = of_force.about.get("z of forces") == "down" and float(np.nanmean(accel[:, 2])) < 0.0
     return accel * np.array([1.0, 1.0, -1.0]) if down else accel
+
+
+def x_is_across(accel: Array, yaw_rate: Array) -> bool:
+    """Whether x, and not y, of accelerations (N, 3) is the axis across the vehicle, about which it pitches: the one
+    whose acceleration follows the yaw rate (N,)."""
+    rows = np.all(np.isfinite(accel), axis=1) & np.isfinite(yaw_rate)
+    x, y, rate = (values - np.mean(values) for values in (accel[rows, 0], accel[rows, 1], yaw_rate[rows]))
+    of_x, of_y = ((rate @ axis) ** 2 / max((rate @ rate) * (axis @ axis), 1e-12) for axis in (x, y))
+    return bool(of_x > max(of_y, LIKE))
 
 
 def _unused(file: str, timed: Sequence[Timed]) -> list[Problem]:
