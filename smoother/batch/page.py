@@ -94,7 +94,7 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
     cards.append(_card("Laps", str(laps), f"that count, of {counted(len(karts), 'kart')}" if karts else "that count"))
     metres = sum(entry.facts.distance_m or 0.0 for entry in entries)
     lasts = sum(entry.facts.duration_s or 0.0 for entry in entries)
-    cards.append(_card("Driven", f"{metres / 1000.0:.1f} km", f"in {duration(lasts)}"))
+    cards.append(_card("Distance", f"{metres / 1000.0:.1f} km", f"in {duration(lasts)}"))
     return element("section", element("dl", *cards, class_="cards"), id="summary")
 
 

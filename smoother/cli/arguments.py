@@ -19,12 +19,12 @@ ABOUT_EXIT = (
 
 
 class Number(click.FloatRange):
-    """A number within bounds; what is none is refused in words that people know."""
+    """A number within bounds; anything else is refused with a plain message."""
 
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number. Fails with what is wanted."""
+        """Return the number; the error names the bounds."""
         try:
             number = float(super().convert(value, param, ctx))
         except click.BadParameter:
@@ -40,7 +40,7 @@ class Whole(click.IntRange):
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the number. Fails with what is wanted."""
+        """Return the number; the error names the bounds."""
         try:
             return int(super().convert(value, param, ctx))
         except click.BadParameter:
@@ -54,7 +54,7 @@ def _bounds(least: float | None, most: float | None) -> str:
 sessions_argument = click.argument("sessions", nargs=-1, metavar="SESSION...", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 recording_option = click.option(
-    "--recording", metavar="N", type=Whole(1), help="Of a card with several recordings: the Nth."
+    "--recording", metavar="N", type=Whole(1), help="Number of the recording on a card with several."
 )
 solver_option = click.option(
     "--solver",
@@ -67,7 +67,7 @@ no_baseline_option = click.option("--no-baseline", is_flag=True, help="Leave out
 
 
 def require_sessions(sessions: tuple[Path, ...], command: str) -> None:
-    """Raise UsageError unless every session exists, naming what was perhaps meant."""
+    """Raise UsageError unless every session exists, naming a similar path or command."""
     if not sessions:
         raise UsageError(f"no session given; see `{command} --help`")
     for path in sessions:
@@ -82,7 +82,7 @@ def require_sessions(sessions: tuple[Path, ...], command: str) -> None:
 
 
 def each_once(sessions: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Return the sessions without those that were named before, by whatever path; says so in a line."""
+    """Return the sessions without repetitions, by whatever path; each repetition is reported in a line."""
     names: dict[Path, list[str]] = {}
     for path in sessions:
         names.setdefault(path.resolve(), []).append(str(path))

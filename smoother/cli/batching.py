@@ -63,7 +63,7 @@ class Plan:
 @click.command(
     short_help="Many sessions at once, with one page about all of them.",
     epilog="Exit code: that of the worst session: 1 if one broke off or was lost, else 2 if one was unusable or over "
-    "its limit (or the usage wrong), else 3 if one is not to be trusted, else 0; 130 stopped.",
+    "its limit (or the usage wrong), else 3 if the quality gate rejected one, else 0; 130 stopped.",
 )
 @click.argument("folders", nargs=-1, metavar="DIR...", type=click.Path(path_type=Path))
 @click.option(
@@ -71,22 +71,22 @@ class Plan:
 )
 @click.option("--jobs", metavar="N", type=Whole(1, 1024), help="Sessions at a time [one per core of this machine].")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on this Dask cluster, as tcp://host:8786, instead.")
-@click.option("--again", is_flag=True, help="Smooth what is finished and unchanged too.")
+@click.option("--again", is_flag=True, help="Also smooth sessions that are finished and unchanged.")
 @click.option("--time-limit", metavar="S", type=Number(1.0), default=3600.0, help="For one session [3600].")
 @click.option("--memory-limit", metavar="MB", type=Whole(64), default=4096, help="For one session [4096].")
 @rate_option
 @solver_option
 @no_baseline_option
 @click.option("--no-figures", is_flag=True, help="Write tables only, no reports.")
-@click.option("--pictures", is_flag=True, help="Write the figures as files too; takes half as long again.")
+@click.option("--pictures", is_flag=True, help="Also write the figures as files; takes 1.5 times as long.")
 @json_option
 @click.option("--open", "open_it", is_flag=True, help="Show the page when done.")
 def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: bool, **given: Any) -> int:
     """Smooth every session found under some folders, and write one page about all of them.
 
-    A session that cannot be smoothed, crashes, hangs or wants too much memory does not stop the others. A session that
-    is finished is not smoothed again unless its files, the options or this program changed, so a batch that was
-    stopped is continued by the same command. sessions.html, .json and .csv go to --out, else to the first DIR.
+    A session that cannot be smoothed, crashes, hangs or needs too much memory does not stop the others. A finished
+    session is not smoothed again unless its files, the options or this program changed, so the same command continues
+    a batch that was stopped. sessions.html, .json and .csv are written to --out, else to the first DIR.
     """
     from smoother.batch.find import find_sessions
     from smoother.batch.index import DOCUMENT, PAGE

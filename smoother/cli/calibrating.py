@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from smoother.report.calibration_page import Section
 
 PAGE, FIGURES = "calibration.html", "calibration"
-MOST_COUNTING = 6  # digits of a number; a rate is known to more, and nobody needs them
+MOST_COUNTING = 6  # significant digits of a number
 
 
 @click.command(short_help="Calibrate the sensors; writes calibration.toml and a page of figures.")
@@ -48,12 +48,12 @@ def calibrate(
     as_json: bool,
     open_it: bool,
 ) -> int:
-    """Find out the errors of the sensors from recordings of the box: lying still, laid on its faces, turned by hand.
+    """Identify the errors of the sensors from recordings of the logger at rest, on its faces, and turned by hand.
 
-    Looks at what each recording offers and runs what applies; recordings of one box may be named together. What was
-    found is written to calibration.toml in the first folder (values of sensors that these recordings do not show are
-    kept), with a page of figures. `smooth SESSION` uses calibration.toml from the folder of the session or the folder
-    above it. The README says what to do with the box in the hands.
+    Every procedure that a recording is sufficient for is run; several recordings of one logger may be named. The values
+    are written to calibration.toml in the first folder, with a page of figures; earlier values that these recordings
+    do not determine are kept. `smooth SESSION` uses the calibration.toml in the folder of the session or the folder
+    above it. docs/calibration.md describes how to record.
     """
     require_sessions(sessions, "smooth calibrate")
     directory = session_directory(sessions[0]) if out is None else out

@@ -33,11 +33,11 @@ _MARKS = {"ok": "ok", "warning": "note", "stop": "STOP"}
 @recording_option
 @json_option
 def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> int:
-    """Tell in seconds whether a recording is good to drive with, and why.
+    """Judge in seconds whether a recording is good to drive with, and why.
 
-    Make a test recording of a minute with the engine running, check it, then drive. Looks at rates, gaps, fixes,
-    clipping and vibration. Exit code 3: something has to be mended first. Of a logger that has no motion sensor, or
-    one that is too slow, the fixes alone are judged.
+    Make a test recording of a minute with the engine running, check it, then drive. Rates, gaps, fixes, clipping,
+    vibration and axes are judged. Exit code 3: correct the faults shown first. Without a motion sensor, or with one
+    that is too slow, the fixes alone are judged.
     """
     require_sessions(sessions, "smooth check")
     paths = each(sessions, recording)

@@ -51,15 +51,15 @@ def compare(
     units: str,
     as_json: bool,
 ) -> int:
-    """Compare sessions, drivers or karts on one track: best laps, and what was lost to the best of all in each corner.
+    """Compare sessions, drivers or karts on one track: best laps, and the time lost to the best of all in each corner.
 
-    Writes a page with map, traces and corners of all; it needs no network. The reference line is that of the first
-    session, so is the start/finish line unless --line says otherwise. Every difference carries one sigma; `*` marks
-    those that are so many of it that they are hardly the luck of the timing.
+    Writes a page with map, traces and corners of all; it needs no network. Reference line and start/finish line are
+    those of the first session, unless --line gives another start/finish line. Every difference has one sigma; `*` marks
+    differences that are larger than their uncertainty explains.
     """
     require_sessions(sessions, "smooth compare")
     if len(sessions) < 2:
-        raise UsageError("compare what with what? `smooth compare A B` needs two sessions or more")
+        raise UsageError("one session is given; `smooth compare A B` needs two or more")
     if out is not None:
         require_no_recording(out, sessions)
     wanted = None if line is None else tracks_from(line)

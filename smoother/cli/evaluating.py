@@ -60,9 +60,9 @@ _ROWS = (  # what people read, key, digits
 def evaluate(sessions: tuple[Path, ...], recording: int | None, solver: str, skip: float, as_json: bool) -> int:
     """Compare GPS alone, the baseline and the smoother with the truth in SESSION/truth.csv.
 
-    Everything is estimated afresh; nothing is written. Figures are root mean squares; "over 1 s" is the error of the
-    change of position in a second. "Within 1 sigma" is the share of position errors, per axis, within the sigma that
-    was reported (honest: 68 and 95 %).
+    Everything is estimated again; nothing is written. Figures are root mean squares; "over 1 s" is the error of the
+    change of position in a second. "Within 1 sigma" is the share of position errors, per axis, within one reported
+    sigma; correct sigmas give 68 and 95 % (one and two sigma).
     """
     require_sessions(sessions, "smooth evaluate")
     documents, passed = [], True

@@ -26,7 +26,7 @@ FORMAT_NAMES = ("vbo", "racechrono", "motec", "aim", "gpx", "kml", "geojson", "t
 )
 @click.option("--rate", metavar="HZ", type=Number(0.1, 1000.0), help="Rows a second [as smoothed].")
 @recording_option
-@click.option("--list", "list_them", is_flag=True, help="List the formats and who opens them, and stop.")
+@click.option("--list", "list_them", is_flag=True, help="List the formats and the programs that open them.")
 def export(
     session: Path | None,
     form: str | None,
@@ -36,10 +36,10 @@ def export(
     list_them: bool,
 ) -> int:
     """Write the smoothed session in a FORMAT that other programs open: vbo, racechrono, motec, aim, gpx, kml, geojson
-    or tum. The session is smoothed first where that was not done, or something changed since.
+    or tum. The session is smoothed first if it was not, or if a file changed since.
 
-    Every format has position, speed, acceleration, laps and delta to the best lap as far as it has room for them, and
-    the error bars where it allows channels of its own. `smooth export --list` says who opens what.
+    Position, speed, acceleration, laps and delta to the best lap are written as far as the format can hold them, and
+    uncertainties where it allows additional channels. `smooth export --list` names the programs that open each format.
     """
     if list_them:
         _list()
@@ -52,7 +52,7 @@ def export(
     if rate is not None and math.isnan(rate):
         raise UsageError("--rate nan: name a number of rows a second")
     if form not in FORMAT_NAMES:
-        raise UsageError(f"{form!r} is no format; there are {', '.join(FORMAT_NAMES)}")
+        raise UsageError(f"unknown format {form!r}; known are {', '.join(FORMAT_NAMES)}")
     if out is not None:
         require_no_recording(out, (session,))
     with progress_on_terminal() as progress:

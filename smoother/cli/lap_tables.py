@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
     "joint": "",
-    "stored": "± for a line given afterwards: from the session as a whole, not from each lap",
-    "model": "± assumes the usual slow error of a GPS: this session does not show its own",
+    "stored": "the line was given after smoothing: each ± is typical of its session, not of the single lap",
+    "model": "± assumes the usual slow error of a GPS, because this session does not show its own",
     "none": "",
 }
 
@@ -133,7 +133,8 @@ def _slide(analysis: dict[str, Any]) -> str:
     if not known:
         return ""
     n, most = max(known, key=lambda pair: pair[1]["slide_deg"])
-    return f"most in corner {n}: {most['slide_deg']:.1f} ± {most['slide_sigma_deg']:.1f} deg, nose inwards (lap {best})"
+    angle = f"{most['slide_deg']:.1f} ± {most['slide_sigma_deg']:.1f} deg"
+    return f"most in corner {n}: {angle}, pointing inwards (lap {best})"
 
 
 def _most_lost(loss: dict[str, Any]) -> str:
@@ -174,7 +175,7 @@ def _rolling(said: dict[str, Any]) -> str:
     if said["rolling_s"] - said["rolling_raw_s"] > 0.0005:
         about.append(f"timed as {lap_clock(said['rolling_raw_s'])}, not corrected for chance")
     if said["rolling_s"] < (best if _is_known(best) else said["best_s"]) - 0.0005:
-        about.append("also on laps that do not count")
+        about.append("may include parts of laps that do not count")
     return f"{text} ({'; '.join(about)})" if about else text
 
 
@@ -185,7 +186,7 @@ def _is_known(value: float | None) -> bool:
 def _consistency(said: dict[str, Any]) -> str:
     count = said["counted"]
     if count == 1:
-        return "1 lap counts, none to compare it with"
+        return "1 lap counts; there is no other to compare it with"
     text = f"{counted(count, 'lap')} count, {said['within_tenth'] - 1 or 'none'} of the others within 0.1 s of the best"
     spread = spread_said(said["spread_s"], "")
     return f"{text}, spread {spread}" if spread else text
@@ -209,7 +210,7 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
         rows.append(["usual", *usual, "median of the other laps that count"])
     factor = SPEED_UNITS[units]
     say("")
-    say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else within noise)", header, rows)
+    say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else may be chance)", header, rows)
     slowest = [["-" if (v := _slowest(c, analysis)) is None else number(v / factor, 1) for c in corners]]
     say_columns(f"slowest in the corner on the best lap, {units}", [*header[1:-1], ""], [[*slowest[0], ""]])
 
@@ -220,7 +221,7 @@ def show_losses(analysis: dict[str, Any], units: str) -> None:
     if not (lost or likely):
         return
     say("")
-    say(f"where time was {'lost' if lost else 'likely lost, none of it sure'}, against {_against(analysis)}")
+    say(f"where time was {'lost' if lost else 'likely lost (none is certain)'}, against {_against(analysis)}")
     lost = lost or likely
     for loss in lost:
         what = _differences(loss, units)

@@ -40,7 +40,7 @@ line_option = click.option(
     help='Start/finish: "lat,lon;lat,lon", a track file (file.json#NAME picks one of several), or a known track.',
 )
 units_option = click.option(
-    "--units", type=click.Choice(list(SPEED_UNITS)), default="km/h", help="Of speeds in tables [km/h]."
+    "--units", type=click.Choice(list(SPEED_UNITS)), default="km/h", help="Unit of speeds in tables [km/h]."
 )
 
 
@@ -52,9 +52,9 @@ units_option = click.option(
     "--official",
     metavar="FILE",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="Transponder times, a lap a row, to stand beside ours [SESSION/official.csv].",
+    help="Transponder times, one lap a row, to show beside these [SESSION/official.csv].",
 )
-@click.option("--corners", is_flag=True, help="Also what every lap lost in which corner.")
+@click.option("--corners", is_flag=True, help="Also show the time that each lap lost in each corner.")
 @units_option
 @json_option
 def laps(
@@ -66,7 +66,7 @@ def laps(
     units: str,
     as_json: bool,
 ) -> int:
-    """Show laps and sectors of a session, each time with one sigma; it is smoothed first where that was not done.
+    """Show laps and sectors of a session, each time with one sigma; the session is smoothed first if necessary.
 
     Without --line the line is that of the track in session.toml, else one is found where timing is most accurate.
     Times of day are in this computer's time zone, which the title names. --json has the laps as in summary.json.

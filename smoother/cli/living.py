@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 @click.option("--baud", type=Whole(1200, 4_000_000), default=115200, help="Of the serial port [115200].")
 @click.option("--speed", metavar="X", default="1", help="Of a file: times real speed, or `max` [1].")
 @click.option("--record", metavar="DIR", type=click.Path(path_type=Path), help="Write a session that smooth accepts.")
-@click.option("--headless", is_flag=True, help="Show nothing but how far it is.")
-@click.option("--json", "as_json", is_flag=True, help="A line of JSON a second (of wall time); implies --headless.")
-@click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="What to show it in.")
+@click.option("--headless", is_flag=True, help="Show progress only.")
+@click.option("--json", "as_json", is_flag=True, help="Print a line of JSON every second; implies --headless.")
+@click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="Where to show it.")
 @click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this logger.")
 @click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found in the second lap].")
 @click.option("--seconds", metavar="S", type=Number(0.1), help="Stop after this time.")
@@ -48,11 +48,11 @@ def live(
     line: str | None,
     seconds: float | None,
 ) -> int:
-    """Show what the logger sends over its serial line: attitude, forces, GPS, laps, and what got lost on the way.
+    """Show what the logger sends over its serial line: attitude, accelerations, GPS, laps, and the share of lost data.
 
-    PORT is a serial port (/dev/ttyUSB0), FILE a recording (.KLG, or bytes of the line), - standard input. A cable that
-    is pulled may be plugged in again. Attitude is there at once; once the kart has driven for some seconds, mounting
-    and delays are found and the smoother starts. Ctrl-C or closing the window ends it.
+    PORT is a serial port (/dev/ttyUSB0), FILE a recording (.KLG, or bytes of the line), - standard input. An unplugged
+    cable may be plugged in again. Attitude is shown at once; after some seconds of driving, mounting and latencies are
+    identified and the smoother starts. Ctrl-C or closing the window ends it.
     """
     import numpy as np
 
@@ -80,9 +80,9 @@ def live(
     came, is_understood = receiver.status.received_bytes, last.losses.frames > 0
     if came and not is_understood:
         warn(
-            f"{_bytes(came)} came, and nothing in them was in the format of the logger's line; "
-            "is the speed right (--baud), and does stream=200 stand in its CONFIG.TXT? "
-            "A file of a card is named itself: smooth live FILE"
+            f"{_bytes(came)} received, none of them in the format of the logger's line; "
+            "check the speed (--baud) and that its CONFIG.TXT has stream=200. "
+            "To play a file of a card, name it: smooth live FILE"
         )
     return EXIT_DONE if recorder is None or _say_recorded(recorder, came > 0) else EXIT_UNUSABLE
 

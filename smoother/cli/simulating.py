@@ -26,10 +26,10 @@ MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simula
 
 @click.command(short_help="Write a simulated session with its truth.")
 @click.argument("directory", metavar="DIR", required=False, type=click.Path(path_type=Path, file_okay=False))
-@click.option("--preset", type=click.Choice(PRESETS), default="kart", help="How good sensors and GPS are [kart].")
-@click.option("--seed", type=Whole(0), default=1, help="Same seed, same session [1].")
-@click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Where [{TRACKS[0]}].")
-@click.option("--duration", metavar="S", type=Number(5.0, 90000.0), default=300.0, help="Seconds [300].")
+@click.option("--preset", type=click.Choice(PRESETS), default="kart", help="Quality of sensors and GPS [kart].")
+@click.option("--seed", type=Whole(0), default=1, help="Seed of the random numbers [1].")
+@click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Track [{TRACKS[0]}].")
+@click.option("--duration", metavar="S", type=Number(5.0, 90000.0), default=300.0, help="Duration in seconds [300].")
 @click.option(
     "--format", "form", type=click.Choice(["csv", "klg", "thesis"]), default="csv", help="Files to write [csv]."
 )
@@ -40,8 +40,8 @@ MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simula
 @click.option("--no-mag", is_flag=True, help="No compass.")
 @click.option("--no-speed", is_flag=True, help="Fixes without speed and course.")
 @click.option("--told", is_flag=True, help="Write the true mounting, noise and latencies into session.toml.")
-@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Any other figure; --list shows them.")
-@click.option("--list", "list_them", is_flag=True, help="List every figure of this preset, and stop.")
+@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Any other value; --list shows them.")
+@click.option("--list", "list_them", is_flag=True, help="List every value of this preset.")
 def simulate(
     directory: Path | None, settings: tuple[str, ...], list_them: bool, form: str, told: bool, **choices: Any
 ) -> int:

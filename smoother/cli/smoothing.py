@@ -31,10 +31,10 @@ from smoother.errors import SmootherError
 
 HELP = """Smooth recorded kart sessions: position, speed, attitude, each with an error bar.
 
-SESSION is the folder or card your logger wrote (.KLG; imu.csv with gps.csv or .nmea; out.txt; of other loggers .xrk,
-.mp4, .log, .fit, .vbo, .gpx, .tcx, .kml, .ubx or .csv), or one file of it. The results go into a folder "smoothed"
-inside it: a report for your browser (report.html), tables, figures, and summary.json with everything that was found
-out. Nothing you recorded is changed, and no network is used.
+SESSION is the folder or card that your logger wrote (.KLG; imu.csv with gps.csv or .nmea; out.txt; of other loggers
+.xrk, .xrz, .drk, .mp4, .log, .fit, .vbo, .gpx, .tcx, .kml, .ubx or .csv), or one file of it. The results go into a
+folder "smoothed" inside it: a report for your browser (report.html), tables, figures, and summary.json with every
+result and problem. Your recording is not changed, and no network is used.
 
 \b
     smooth monday/           smooth a session
@@ -42,9 +42,8 @@ out. Nothing you recorded is changed, and no network is used.
     smooth demo              no recording yet? simulate one and smooth it
 """
 EPILOG = (
-    "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
-    "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "
-    "`smooth ./check other`.",
+    "If a folder has the name of a command, `smooth demo` smooths that folder, and `smooth check demo` runs the "
+    "command. To smooth several folders of which the first has such a name: `smooth ./check other`.",
     ABOUT_EXIT,
 )
 
@@ -72,8 +71,8 @@ class SmoothCommand(click.Command):
 @rate_option
 @solver_option
 @no_baseline_option
-@click.option("--no-figures", is_flag=True, help="Write tables only; an earlier report goes.")
-@click.option("--no-pictures", is_flag=True, help="Write the report, but no figures/*.png; earlier ones go.")
+@click.option("--no-figures", is_flag=True, help="Write tables only, and delete an earlier report.")
+@click.option("--no-pictures", is_flag=True, help="Write the report without figures/*.png, and delete earlier ones.")
 @json_option
 @click.option("--open", "open_it", is_flag=True, help="Show the report when done.")
 @click.version_option(package_name="kart-smoother", prog_name="smooth")
@@ -89,7 +88,7 @@ def smooth(
     as_json: bool,
     open_it: bool,
 ) -> int:
-    """Smooth sessions; the text people read is HELP."""
+    """Smooth sessions; HELP is the text of `smooth --help`."""
     require_sessions(sessions, "smooth")
     sessions = each_once(sessions)
     options = Options(rate, solver, not no_baseline, not no_figures, not no_pictures)

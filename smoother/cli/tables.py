@@ -31,7 +31,7 @@ _NAMES = {
     "accel_rectification": "vibration offset",
     "accel_rectification_by_rate": "rocking offset",
 }
-# drivers need not ask
+# constants of no interest to a driver
 _ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma", "mag_hard_iron", "mag_heading_offset", "gps_offset_change")
 
 
@@ -140,7 +140,7 @@ def _mounting(identified: Identified) -> str:
 
     angles, sigmas = mounting_angles(identified)
     said = (_with_sigma([angle], sigmas[i : i + 1], 1) for i, angle in enumerate(angles))
-    return ", ".join(f"{name} {text}" for name, text in zip(("rolled", "pitched", "yawed"), said, strict=True)) + " deg"
+    return ", ".join(f"{name} {text}" for name, text in zip(("roll", "pitch", "yaw"), said, strict=True)) + " deg"
 
 
 def _shown_unit(unit: str) -> tuple[str, float, int]:

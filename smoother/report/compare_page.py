@@ -40,6 +40,10 @@ from smoother.report.page_words import DASH, lap_clock, number
 from smoother.words import counted
 
 MOST_LAPS = 6  # drawn of a session
+GRIP = (
+    "Each dot is the acceleration at one time. Grey: the first session; in colour: the laps and the part of the track "
+    "shown above."
+)
 TITLE = "Comparison on one reference line"
 
 
@@ -70,7 +74,7 @@ class Compared:
         if any(lap.is_timed for lap in self.analysis.laps):
             return "none of its laps counts"
         if any(problem.code == "driven_against" for problem in self.analysis.problems):
-            return "was driven the other way round; compare sessions of one direction"
+            return "was driven in the other direction; compare sessions of one direction"
         return "no whole lap on the reference line"
 
     @property
@@ -96,8 +100,8 @@ def comparison(compared: Sequence[Compared]) -> str:
     head = element("div", element("h1", TITLE), element("p", about), element("p", against, class_="soft"))
     charts = [element("h2", "Map and traces", id="driving"), picker(names, stretches(compared[0].analysis))]
     note = (
-        "The line is measured from that of the first session. The GPS is off by metres in another way on another day, "
-        "and the band says so; what is grey is within that noise."
+        "Lines are relative to the mean line of the first session. The GPS error differs by metres from day to day; "
+        "the band contains it, and what is grey is within that noise."
     )
     body = [
         element("header", head, settings()),
@@ -109,7 +113,7 @@ def comparison(compared: Sequence[Compared]) -> str:
             element("p", note, class_="soft"),
             *_corners(compared),
             element("h2", "Grip: accelerations forward and sideways", id="circle-title"),
-            grip("Grey: the whole of the first session; in colour: the laps and the part of the track shown above."),
+            grip(GRIP),
         ),
     ]
     return styled(f"{TITLE}: {about}", body, numbers)
@@ -195,11 +199,11 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
     lost = losses(compared)
     rows = [_best_row(one, sectors, least, lost[k]) for k, one in enumerate(compared)]
-    sure = f"from {number(lost[0].sure, 1)} times its ± on"
-    note = f"Laps: how many count. Lost: to the best of all, with a star where it is real, {sure}. "
-    note += "Top speed: of the best lap, not of the session."
+    sure = f"at least {number(lost[0].sure, 1)} times its ±"
+    note = "Laps: number of laps that count. Lost: time lost to the best of all, with a star where it is real, that is "
+    note += f"{sure}. Top speed: that of the best lap."
     if any(one.statistics is not None and one.analysis.sigma_source == "stored" for one in compared):
-        note += " ± are those for a line given afterwards, from each session as a whole, not from each lap."
+        note += " The line was given after smoothing, so each ± is typical of its session and not of the single lap."
     told = table(heads, rows, class_="tight")
     without = [element("p", f"{one.name}: {one.why_not}", class_="soft") for one in compared if one.why_not]
     return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told, *without]
@@ -272,8 +276,8 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         return []
     note = (
         f"Seconds lost to {compared[0].analysis.reference_name} between the fastest places before and after each "
-        "corner. Bold with a star: real. Some of so many losses are large by chance, so a star takes several times "
-        "the ±; how many is found for each session. The rest is within noise: do not chase it."
+        "corner. Bold with a star: real, that is several times its ±, since some of so many losses are large by "
+        "chance. The rest may be chance: ignore it."
     )
     heads = ["", *(corner_name(corner) for corner in corners)]
     lost, usual, slowest = [], [], []
@@ -291,7 +295,12 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         element("h2", "Corners", id="corners"),
         element("p", note, class_="soft"),
         table(heads, lost, "Best laps: time lost (s)", class_="dense"),
-        table(heads, usual, "The laps that count: median of the time lost (s), and in how many it is real", "dense"),
+        table(
+            heads,
+            usual,
+            "All laps that count: median of the time lost (s), and the number of laps in which it is real",
+            "dense",
+        ),
         element("h3", "Slowest in the corner, ", unit),
         table(heads, slowest, class_="dense"),
     ]

@@ -111,9 +111,7 @@ def _left_out(told: words.Told) -> list[Element]:
     laps = told.laps
     if laps is None or laps.traces is None or len(laps.laps) <= MOST_DRAWN:
         return []
-    text = (
-        f"Of {len(laps.laps)} laps the {len(drawn_laps(laps))} quickest can be shown here and below; laps.csv has all."
-    )
+    text = f"Of {len(laps.laps)} laps the {len(drawn_laps(laps))} quickest are shown here and below; laps.csv has all."
     return [element("p", text, class_="soft")]
 
 
@@ -121,8 +119,9 @@ def _circle_words(told: words.Told) -> str:
     is_of_fixes = told.smoothed.report.mode == "gps-only"
     source = "the smoothed GPS speed" if is_of_fixes else "the motion sensor, gravity removed"
     return (
-        "Each dot is a moment: up is driving, down is braking, left and right are corners to that side. Grey: the "
-        f"whole session; in colour: the laps and the part of the track shown above. From {source}."
+        "Each dot is the acceleration at one time: upwards accelerating, downwards braking, left and right cornering "
+        "to that side. Grey: the whole session; in colour: the laps and the part of the track shown above. "
+        f"Source: {source}."
     )
 
 
@@ -132,8 +131,8 @@ def _compared_title(told: words.Told) -> str:
 
 def _compared_words(told: words.Told) -> str:
     which = "the best lap" if told.statistics is not None else "a minute around the top speed"
-    baseline = "dashed: the baseline, an older method that is run beside it; " if told.baseline is not None else ""
-    shown = f"Map and curves are of {which}, the table of the whole session. Dots on the map: GPS fixes as received; "
+    baseline = "dashed: the baseline, an older method; " if told.baseline is not None else ""
+    shown = f"Map and curves show {which}, the table the whole session. Dots on the map: GPS fixes as received; "
     return f"{shown}{baseline}solid: the smoother."
 
 

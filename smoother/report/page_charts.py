@@ -82,10 +82,10 @@ def picker(names: Sequence[str], parts: Sequence[Part], legend: str = "Laps show
 def _slider(numbers: Document) -> Element:
     last = str(numbers["points"])
     keys = (
-        "Move over map or traces, or use the slider: arrow keys, with Shift ten steps; + and − zoom, Esc shows all. "
-        "Drag over the traces to zoom, double-click to see all."
+        "Move over map or traces, or use the slider (arrow keys, with Shift ten steps). Drag over the traces, or "
+        "press + and −, to zoom; double-click, or press Esc, to see all."
     )
-    label = element("label", "Place: ", element("input", type="range", min="0", max=last, value="0", id="cursor"))
+    label = element("label", "Distance: ", element("input", type="range", min="0", max=last, value="0", id="cursor"))
     where = element("output", id="where")
     return element("div", element("div", label, where, class_="settings"), element("p", keys, class_="keys"))
 

@@ -26,14 +26,12 @@ from smoother.utc_clock import UtcClock
 from smoother.words import SLOWER_WHERE, counted, duration, loss_digits, speed_digits
 
 SIGMA_SOURCES = {
-    "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
-    "stored": "The ± of times come from how the position error grew with time, as stored with the results.",
-    "model": "The ± of times assume the usual slow error of a GPS: this session does not show its own.",
-    "none": "There are no ± of times: the estimator gave no sigmas.",
+    "joint": "The ± of lap, sector and corner times allow for the GPS error that both of their ends share.",
+    "stored": "The ± of times follow from the growth of the position error with time, as stored with the results.",
+    "model": "The ± of times assume the usual slow error of a GPS, because this session does not show its own.",
+    "none": "Times have no ±, because the estimate has no sigmas.",
 }
-OF_SECTORS = (
-    "That of a sector is against the same sector of the best lap, where the GPS offset that both share cancels. "
-)
+OF_SECTORS = "The ± of a sector is that of its difference from the same sector of the best lap. "
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +115,7 @@ def summary(told: Told) -> Element:
     cards.append(_card("Top speed", speed_span(fastest.speed), below))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
-    cards.append(_card("Driven", driven, f"in {duration(length)}"))
+    cards.append(_card("Distance", driven, f"in {duration(length)}"))
     passed = told.quality.passed
     verdict = "Yes" if passed else "No"
     trust = element("span", verdict, class_="good" if passed else "bad")
@@ -151,13 +149,13 @@ def _rolling(said: Statistics) -> str:
     if said.rolling - said.rolling_raw > 0.0005:
         text += f"; timed as {lap_clock(said.rolling_raw)}, not corrected for chance"
     best = said.theoretical if np.isfinite(said.theoretical) else said.best
-    return text if said.rolling > best - 0.0005 else f"{text}; it may begin on laps that do not count"
+    return text if said.rolling > best - 0.0005 else f"{text}; it may include parts of laps that do not count"
 
 
 def _consistency(said: Statistics) -> str:
     """What stands below the spread of the laps, or their number where it has none."""
     if said.counted == 1:
-        return "that counts: none to compare it with"
+        return "that counts; there is no other to compare it with"
     which = f"spread of {counted(said.counted, 'lap')} that count" if np.isfinite(said.spread) else "that count"
     return f"{which}; {said.within_tenth - 1 or 'none'} of the others within 0.1 s of the best"
 
@@ -165,18 +163,18 @@ def _consistency(said: Statistics) -> str:
 def _missing(told: Told) -> Iterator[str]:
     if told.smoothed.report.mode == "gps-only":
         yield (
-            "Roll, pitch, yaw and sideslip: no motion sensor could be used, so everything is from the GPS alone, "
-            "and accelerations are those of its smoothed speed."
+            "Roll, pitch, yaw and sideslip: there is no usable motion sensor. Everything is from the GPS alone, "
+            "accelerations from its smoothed speed."
         )
     if told.laps is None or not any(lap.is_timed for lap in told.laps.laps):
         why = "" if told.laps is None else "; ".join(p.text for p in told.laps.problems)
-        yield f"Laps, and all that is compared between them{': ' + why if why else '.'}"
+        yield f"Laps and every comparison of laps{': ' + why if why else '.'}"
     elif told.laps.no_sideslip and told.smoothed.report.mode != "gps-only":
         yield f"Sideslip: {told.laps.no_sideslip}."
     if told.smoothed.sigmas is None:
-        yield "Error bars: the estimator gave no sigmas."
+        yield "Uncertainties: the estimate has no sigmas."
     if told.baseline is None:
-        yield "The comparison with the baseline: it was not asked for, or has no estimate."
+        yield "The comparison with the baseline: it was switched off, or the baseline has no estimate."
 
 
 def lap_section(told: Told) -> list[Element]:
@@ -213,7 +211,7 @@ def lap_section(told: Told) -> list[Element]:
     length = f"A lap is {laps.reference.length:.0f} m long. " if laps.reference is not None else ""
     of_sectors = "" if laps.sigma_source == "none" or laps.sectors < 2 else OF_SECTORS
     source_note = f"{SIGMA_SOURCES[laps.sigma_source]} {of_sectors}"
-    note = f"{line}{length}± is one sigma. {source_note}Raw GPS: straight lines between fixes."
+    note = f"{line}{length}± is one sigma. {source_note}Raw GPS: the lap time by straight lines between the fixes."
     made = [element("h2", "Laps", id="laps"), element("p", note, class_="soft"), table(top, rows)]
     return [*made, *(element("p", p.text) for p in laps.problems)]
 
@@ -265,16 +263,16 @@ def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
         return []
     lost, title = largest_losses(laps), element("h3", "Where time was lost", id="lost")
     if not any(np.isfinite(corner.time_lost_sigma).any() for corner in laps.corners):
-        text = f"This session does not show the uncertainty of the losses to {against}; none is called real."
+        text = f"The uncertainty of the losses to {against} is unknown in this session, so none is called real."
         return [title, element("p", text)]
     if not lost:
-        text = f"Nowhere for sure: what the laps lost to {against} in single corners is within the uncertainty."
+        text = f"No loss to {against} in a single corner is larger than its uncertainty explains."
         likely = [_lost_item(loss, laps) for loss in likely_losses(laps)]
         if not likely:
             return [title, element("p", text)]
         unsure = element("p", f"{text} The likeliest, none of them certain:")
         return [title, unsure, element("ol", *likely, class_="soft")]
-    note = f"The largest losses to {against} that are real, and what was clearly different there."
+    note = f"The largest real losses to {against}, and what was clearly different there."
     items = (_lost_item(loss, laps) for loss in lost)
     return [title, element("p", note, class_="soft"), element("ol", *items)]
 
@@ -306,8 +304,8 @@ def stars_note(corners: Sequence[Corner]) -> str:
     """What a star beside a loss says, and how many times its sigma it takes."""
     times = number(corners[0].real_from, 1)
     return (
-        f"Bold with a star: real. A loss must be {times} times its ±, because some of so many are large by chance. "
-        "The rest is within noise: do not chase it."
+        f"Bold with a star: real, that is at least {times} times its ±, since some of so many losses are large by "
+        "chance. The rest may be chance: ignore it."
     )
 
 
@@ -375,12 +373,17 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         rows.append(row(*cells))
     title = f"Corners on lap {laps.laps[shown].number}"
     slide = (
-        " Slide: how far the kart points into the corner, beyond the path: in the trace of sideslip that is + in a "
-        "right corner, − in a left one."
+        " Slide: angle by which the kart points further into the corner than it travels. The trace of sideslip shows "
+        "it as + in a right corner and − in a left one."
         if slides
         else ""
     )
-    usual_note = " Usual loss: median of the other laps that count; with a star it is real." if timed else ""
+    usual_note = (
+        " Usual loss: median of the other laps that count, with a star if real. Real in: number of laps with a real "
+        "loss."
+        if timed
+        else ""
+    )
     note = [f"Distances are metres from the line.{usual_note}", *_speeds_are_sure(laps, shown), slide]
     return [element("h3", title), element("p", *note, class_="soft"), table(heads, rows)]
 
@@ -401,7 +404,7 @@ def _speeds_are_sure(laps: LapAnalysis, shown: int) -> list[Child]:
         leaving,
         " on exit (",
     ]
-    return [*sure, speed_unit(), "), the doubt of the place counted."]
+    return [*sure, speed_unit(), "), which contains the uncertainty of the position."]
 
 
 def baseline_section(told: Told) -> list[Element]:
@@ -420,8 +423,8 @@ def _lost_north(told: Told) -> list[Element]:
     if not any(problem.code == "baseline_no_magnetometer" for problem in baseline.report.problems):
         return []
     text = (
-        "Without a calibrated compass nothing holds the yaw of the baseline: it comes from the first minute's motion "
-        "and drifts from there. The baseline depends on a calibrated logger (smooth calibrate); the smoother does not."
+        "Without a calibrated magnetometer the yaw of the baseline comes from the motion of the first minute and "
+        "drifts after it. The baseline needs a calibrated logger (smooth calibrate); the smoother does not."
     )
     return [element("p", text, class_="soft")]
 

@@ -62,13 +62,13 @@ def _trust_sentences(told: Told) -> Iterator[Child]:
         yield f"Best lap: ± {number(said.best_sigma, 3)} s{enough}."
     measures = told.quality.measures
     if "far_fix_share" in measures:
-        yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes are far from the path."
+        yield f"Fixes far from the path: {number(100.0 * measures['far_fix_share'], 1)} %."
     fixes = told.smoothed.report.fixes
     if fixes is not None and len(fixes.index):
         doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
         unused = len(told.session.gnss) - used
-        weighed = f"{doubted} of them with less than half their weight"
-        yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {weighed}."
+        of_all = f"Fixes used: {used} of {len(told.session.gnss)}; removed: {unused}"
+        yield f"{of_all}; used at less than half weight: {doubted}."
 
 
 def _alike(laps: LapAnalysis | None) -> float:
@@ -121,8 +121,8 @@ def residual_table(told: Told) -> Element:
         for name, r in told.smoothed.report.residuals.items()
     ]
     caption = (
-        "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
-        "noise was taken too small"
+        "Residuals. In sigma they should be about 1 or less, because the path is fitted to the measurements; far above "
+        "1 the assumed noise is too small"
     )
     return table(["", "count", "rms", "in sigma", "little weight"], rows, caption, "tight")
 
@@ -139,10 +139,10 @@ _NAMES = {
     "gps_velocity_response": "time over which the receiver smooths its speed",
     "lever_arm_b": "antenna from the logger: forward, left, up",
     "R_bs": "mounting of the logger: roll, pitch, yaw",
-    "slip_sigma": "slide of the kart, how it differs between hard corners",
+    "slip_sigma": "variation of the slide between hard corners",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
-    "accel_delay": "accelerometer behind gyroscope",
+    "accel_delay": "latency of the accelerometer behind the gyroscope",
     "mag_hard_iron": "hard iron at the magnetometer, on each axis",
     "mag_heading_offset": "heading offset of the magnetometer",
     "imu_clock_drift": "IMU clock against that of the fixes",
@@ -160,7 +160,7 @@ def identified_table(told: Told) -> Element:
     """What was found out of the session, each with its sigma."""
     report = told.smoothed.report
     rows = [_identified(name, value) for name, value in report.identified.items() if is_told(name, value, report.mode)]
-    return table(["", "value", "± one sigma", "unit", "from"], rows, "What was identified", "words")
+    return table(["", "value", "± one sigma", "unit", "from"], rows, "Identified constants", "words")
 
 
 def _identified(name: str, found: Identified) -> Element:

@@ -153,13 +153,16 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
     assert "best laps, times of day in " in text and "lost against" in text
-    assert text.count("± for a line given afterwards: from the session as a whole, not from each lap") == 1
+    assert (
+        text.count("the line was given after smoothing: each ± is typical of its session, not of the single lap") == 1
+    )
     assert "best lap's top km/h" in text  # that of the session is mostly another lap's
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
-    assert "Top speed: of the best lap, not of the session." in page.read_text(encoding="utf-8")
+    assert "Top speed: that of the best lap." in page.read_text(encoding="utf-8")
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
-    assert "from each session as a whole, not from each lap" in html.unescape(page.read_text(encoding="utf-8"))
+    words = "each ± is typical of its session and not of the single lap"
+    assert words in html.unescape(page.read_text(encoding="utf-8"))
 
 
 def test_a_session_without_a_whole_lap_has_dashes_in_a_comparison_and_a_reason(
@@ -206,7 +209,7 @@ def test_a_session_of_the_other_direction_is_said_to_be_one(lapped: Path, tmp_pa
     back.write_csv(tmp_path / "back" / "gps.csv")
     assert run(["compare", str(lapped / "saturday"), str(tmp_path / "back")]) == 0
     said = capsys.readouterr().err
-    assert "back: was driven the other way round; compare sessions of one direction" in said
+    assert "back: was driven in the other direction; compare sessions of one direction" in said
 
 
 def called(capsys: Captured, *sessions: Path) -> tuple[list[str], str]:
@@ -252,7 +255,7 @@ def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: 
         (["laps", "SESSION", "--line", "tinbran"], "did you mean tinbarn?"),
         (["laps", "SESSION", "--line", "gone.geojson"], "cannot be read"),
         (["laps", "SESSION", "--line", "1,2;1,2"], "the line is 0.0 m long"),
-        (["compare", "SESSION"], "needs two sessions"),
+        (["compare", "SESSION"], "needs two or more"),
         (["compare", "SESSION", "SESSION", "--against", "77"], "no lap 77"),
     ],
 )

@@ -40,7 +40,7 @@ def test_a_mounting_has_the_sigma_of_each_of_its_angles() -> None:
     R_bs = so3.exp(np.radians(np.array([0.0, 0.0, 90.0])))
     sigma = np.radians([0.5, 1.1, 2.2]).tolist()
     said = _identified("R_bs", Identified(R_bs.tolist(), sigma, "1 (sigma: rad)", True, "identified"))
-    assert said == "rolled 0.0 ± 1.1, pitched 0.00 ± 0.50, yawed 90.0 ± 2.2 deg (identified)"
+    assert said == "roll 0.0 ± 1.1, pitch 0.00 ± 0.50, yaw 90.0 ± 2.2 deg (identified)"
 
 
 def test_a_mounting_that_is_straight_is_not_turned_by_less_than_nothing() -> None:

@@ -80,7 +80,7 @@ def test_another_recording_in_the_same_folder_has_results_of_its_own(monday: Pat
     ("arguments", "message"),
     [
         (["{}"], "smooth export SESSION FORMAT"),
-        (["{}", "pdf"], "'pdf' is no format; there are vbo"),
+        (["{}", "pdf"], "unknown format 'pdf'; known are vbo"),
         (["vbo", "{}"], "the session comes before the format: smooth export"),
         (["{}/nothing", "vbo"], "no such file or folder"),
         (["{}/smoothed", "vbo"], "holds results, not a recording"),

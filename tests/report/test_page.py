@@ -176,7 +176,7 @@ def test_laps_stand_in_a_table_with_their_sigma_and_the_best_is_marked(report: R
             for time, sigma in zip(lap.sector_time, lap.sector_gap_sigma, strict=True):
                 plus_minus = "" if is_best else f" ± {number(float(sigma), 3)}"
                 assert f"<td>{lap_clock(float(time))}<small>{plus_minus}</small>" in text or is_best
-    assert "against the same sector of the best lap" in text
+    assert "difference from the same sector of the best lap" in text
     assert text.count('<tr class="best">') == 1
     assert lap_clock(report.laps.statistics.theoretical) in text
 
@@ -186,7 +186,7 @@ def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
     assert report.laps is not None
     real = sum(int(corner.is_real[i]) for corner in report.laps.corners for i in _timed(report.laps))
     real += sum(corner.usual_is_real for corner in report.laps.corners)
-    assert f"A loss must be {number(report.laps.corners[0].real_from, 1)} times its ±" in text
+    assert f"at least {number(report.laps.corners[0].real_from, 1)} times its ±" in text
     corner = report.laps.corners[0]
     usual = f"{number(corner.usual_lost, 2, signed=True)}{'*' if corner.usual_is_real else ''}"
     assert f"{usual}<small> ± {number(corner.usual_lost_sigma, 2)}</small>" in text
@@ -200,7 +200,7 @@ def test_where_nothing_says_how_sure_a_loss_is_no_luck_is_spoken_of(report: Repo
         for c in report.laps.corners
     )
     text = page(replace(report, laps=replace(report.laps, corners=tuple(unknown))))
-    assert "does not show the uncertainty of the losses" in text and "Nowhere:" not in text
+    assert "The uncertainty of the losses" in text and "larger than its uncertainty" not in text
 
 
 def _timed(laps: LapAnalysis) -> list[int]:
@@ -212,7 +212,7 @@ def test_without_laps_motion_sensor_and_baseline_the_page_says_so(session: Sessi
     unknown = {"R_nb": np.full((n, 3, 3), np.nan), "acceleration_b": np.full((n, 3), np.nan)}
     bare = replace(trajectory, **unknown, sigmas=None, report=EstimateReport(mode="gps-only"))
     text = page(Report(replace(session, imu=None, mag=None), bare, None, None, GOOD))
-    for words in ("Roll, pitch, yaw and sideslip", "Laps, and all that", "Error bars:", "comparison with the baseline"):
+    for words in ("Roll, pitch, yaw and sideslip", "Laps and every", "Uncertainties:", "comparison with the baseline"):
         assert words in text
     document = numbers(text)
     assert document["axis"] == "time"
@@ -234,12 +234,12 @@ def test_what_is_compared_is_called_by_what_is_there(report: Report) -> None:
 
 
 def test_a_baseline_without_a_calibrated_compass_is_said_to_need_one(report: Report) -> None:
-    words = "nothing holds the yaw of the baseline"
+    words = "the yaw of the baseline comes from the motion of the first minute"
     assert report.baseline is not None and words not in page(report)
     lost = EstimateReport(problems=(Problem("baseline_no_magnetometer", "no calibrated magnetometer"),))
     bare = replace(report, baseline=replace(report.baseline, report=lost))
     text = page(bare)
-    assert words in text and "depends on a calibrated logger" in text
+    assert words in text and "needs a calibrated logger" in text
     unknown = np.full(report.smoothed.R_nb.shape, np.nan)  # then no difference of yaw is shown
     assert words not in page(replace(bare, smoothed=replace(report.smoothed, R_nb=unknown)))
 
@@ -270,7 +270,7 @@ def test_laps_may_be_equally_fast_up_to_two_sigma_of_their_difference(report: Re
 
 def test_residuals_far_below_one_sigma_are_not_called_dishonest(report: Report) -> None:
     text = page(report)
-    assert "around 1 or below is as it should be" in text
+    assert "they should be about 1 or less" in text
     assert "1 is honest" not in text
 
 
@@ -327,7 +327,7 @@ def identified_on(report: Report, **found: Identified) -> str:
     """The table of what was identified."""
     estimate = replace(report.smoothed.report, identified=found)
     text = page(replace(report, smoothed=replace(report.smoothed, report=estimate)))
-    return text.partition("What was identified")[2].partition("</table>")[0]
+    return text.partition("Identified constants")[2].partition("</table>")[0]
 
 
 def test_a_receiver_that_smooths_its_speed_is_told_in_seconds_and_only_where_that_is_clear(report: Report) -> None:
@@ -390,7 +390,7 @@ def test_of_very_many_laps_the_quickest_are_drawn_and_the_page_says_so(
     quickest = sorted(valid, key=lambda i: report.laps.laps[i].time)[:2]  # type: ignore[union-attr]
     assert page_data.drawn_laps(report.laps) == sorted(quickest)
     text = page(report)
-    assert f"Of {len(report.laps.laps)} laps the 2 quickest can be shown" in text
+    assert f"Of {len(report.laps.laps)} laps the 2 quickest are shown" in text
     laps = numbers(text)["laps"]
     assert isinstance(laps, list) and len(laps) == 2
 
@@ -465,9 +465,9 @@ def test_a_spike_does_not_make_the_places_that_are_drawn_fewer(
 def test_accelerations_of_fixes_had_no_gravity_in_them(session: Session, trajectory: Trajectory) -> None:
     gps = replace(trajectory, report=replace(trajectory.report, mode="gps-only"))
     with_sensor, without = (page(Report(session, one, None, None, GOOD)) for one in (trajectory, gps))
-    assert "From the motion sensor, gravity removed." in with_sensor
+    assert "Source: the motion sensor, gravity removed." in with_sensor
     assert "Laps shown" not in with_sensor  # of a session without laps
-    assert "From the smoothed GPS speed." in without
+    assert "Source: the smoothed GPS speed." in without
 
 
 def spiked(trajectory: Trajectory) -> Trajectory:
@@ -488,11 +488,11 @@ def test_of_one_lap_that_counts_nothing_is_compared(driven: tuple[Trajectory, La
     assert np.isnan(one.statistics.theoretical) and np.isnan(one.statistics.theoretical_raw)
     text = page(Report(session, few, None, one, GOOD))
     assert "Theoretical best" not in text and "usual loss" not in text and "Seconds lost to" not in text
-    assert "that counts: none to compare it with" in text and ">0 of 0<" not in text
+    assert "that counts; there is no other to compare it with" in text and ">0 of 0<" not in text
     assert "offset" not in numbers(text)["traces"]  # type: ignore[operator]
     assert all("<td>–</td>" * len(one.corners) not in part for part in text.split("<tr"))
     said = dict(figures(json.loads(to_json(analysis_document(one, session.origin)))))
-    assert "theoretical" not in said and said["consistency"] == "1 lap counts, none to compare it with"
+    assert "theoretical" not in said and said["consistency"] == "1 lap counts; there is no other to compare it with"
 
 
 @pytest.mark.parametrize(
@@ -576,10 +576,10 @@ def test_a_rolling_best_below_the_theoretical_says_why(report: Report, faster: f
     statistics = replace(said, theoretical=theoretical, theoretical_raw=theoretical, rolling=theoretical - faster)
     statistics = replace(statistics, rolling_raw=statistics.rolling)
     laps = replace(report.laps, statistics=statistics)
-    assert ("on laps that do not count" in _rolling(statistics)) == (faster > 0.0)
+    assert ("laps that do not count" in _rolling(statistics)) == (faster > 0.0)
     assert _rolling(statistics) in page(replace(report, laps=laps))
     document = json.loads(to_json(analysis_document(laps, report.session.origin)))
-    assert ("on laps that do not count" in dict(figures(document))["rolling best"]) == (faster > 0.0)
+    assert ("laps that do not count" in dict(figures(document))["rolling best"]) == (faster > 0.0)
     lucky = replace(statistics, rolling_raw=statistics.rolling - 0.03)
     timed = f"timed as {lap_clock(lucky.rolling_raw)}"
     assert timed in _rolling(lucky) and timed not in _rolling(statistics)
