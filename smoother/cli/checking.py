@@ -36,8 +36,9 @@ def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> i
     """Judge in seconds whether a recording is good to drive with, and why.
 
     Make a test recording of a minute with the engine running, check it, then drive. Rates, gaps, fixes, clipping,
-    vibration and axes are judged. Exit code 3: correct the faults shown first. Without a motion sensor, or with one
-    that is too slow, the fixes alone are judged.
+    vibration and axes are judged; without a motion sensor, or with one that is too slow, the fixes alone.
+
+    Exit code 0: good to drive with. 3: correct the faults shown first.
     """
     require_sessions(sessions, "smooth check")
     paths = each(sessions, recording)
