@@ -59,4 +59,4 @@ def test_the_reference_is_made_of_docstrings(site: Path) -> None:
 @pytest.mark.slow
 def test_a_problem_code_is_found_by_the_search(site: Path) -> None:
     index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
-    assert any("gps_coasting" in entry["title"] for entry in index["docs"])
+    assert any("gps_settling" in entry["title"] for entry in index["docs"])

@@ -8,7 +8,6 @@ import numpy as np
 
 from smoother.arrays import BoolArray
 from smoother.estimate.averages import averages_of
-from smoother.estimate.gnss_coasting import coasting, coasting_problems
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.in_step import in_step
 from smoother.estimate.initial.align import align
@@ -31,7 +30,6 @@ PASSES = 3  # of clocks, each of which is fitted to what the one before has left
 # of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
 # that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
 LESS_EXPLAINED = 0.003
-LOOKS = 3  # for fixes of a receiver that went straight on; those that are left out first hid others
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,22 +54,15 @@ class Begun:
 
 
 def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
-    """Begin with a session, without the fixes of a receiver that went straight on or had not settled."""
+    """Begin with a session, without the fixes that stand while the kart drives, and those that had not settled."""
     begun = _on_one_clock(given, options, cut_out)
-    clock, unsure = begun.clock, begun.clock.unsure(given.gnss.t)
+    clock, out = begun.clock, begun.clock.unsure(given.gnss.t)
     given, line = moved(given, clock.moves), replace(clock, steps=())
 
     def begin_again(without: Session) -> Begun:
         on_one = line.taken_out(without)
         return _begun(on_one, options, cut_out(on_one))
 
-    out = unsure.copy()
-    for _ in range(LOOKS):
-        more = coasting(begun.session, begun.start.alignment, begun.start.driven) & ~out
-        if not more.any():
-            break
-        out |= more
-        begun = begin_again(without_fixes(given, out))
     stopped, of_stops = _false_stops(begun)
     if stopped.any():
         begun = begin_again(without_fixes(given, out | stopped))
@@ -80,7 +71,6 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     if early.any():
         begun = begin_again(without_positions(rest, early))
     problems = (
-        *coasting_problems(out & ~unsure),
         *settling_problems(given.gnss.t, early),
         *of_stops,
         *_stream_problems(begun),
