@@ -110,7 +110,6 @@ BOX_ON_WHEEL = (
 IMU_SHAKEN = "imu_shaken"  # the problem of samples that the engine's vibration is folded into
 
 MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of axes that no mounting of a box explains
-MIRRORED_PLACES = "gps_mirrored"  # likewise, explained by places of which one coordinate has the wrong sign
 STATED = "stated_wrong"  # problems of a delay, arm or mounting that is stated of a session, which contradicts it
 # problems of fixes that are late behind the samples now more, now less; or are of another motion than these for a while
 DELAY_CHANGES, MOTION_UNLIKE = "delay_changes", "motion_unlike"

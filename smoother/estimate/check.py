@@ -11,16 +11,14 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, are_near
 from smoother.disc import pieces, release
-from smoother.estimate.mirrored import mirrored_places
 from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
-from smoother.estimate.sensor_units import aligned, beginning
+from smoother.estimate.preprocess.units import aligned, beginning
 from smoother.fit.running import running_mean
 from smoother.samples import (
     DEAD_AXES,
     IMU_AXES_UNKNOWN,
     IMU_INCOMPLETE,
     STUCK_AXES,
-    VIBRATION,
     GnssFixes,
     Problem,
     RawImu,
@@ -46,7 +44,7 @@ SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at al
 WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
 FARTHER_AWAY = "move the box farther from the engine"  # not onto something soft: what shakes by itself is not the kart
-_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES, STUCK_AXES, VIBRATION)  # of the reader, judged below by themselves
+_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES, STUCK_AXES)  # of the reader, judged below by themselves
 
 
 @dataclass(frozen=True)
@@ -295,8 +293,6 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
 def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
     """Whether the axes are those of a box that is turned, and turned by the kart alone, which driving shows; of a long
     recording its beginning."""
-    if len(imu.t) > 1 and (mirrored := mirrored_places(beginning(imu), raw.gnss, raw.problems)):
-        return _Part([Finding("stop", "GPS", problem.text) for problem in mirrored], {})
     found = aligned(imu, raw.gnss)
     problems = () if found is None else found.problems
     is_misnamed = found is not None and found.is_misnamed

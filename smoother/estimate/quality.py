@@ -18,7 +18,6 @@ from smoother.samples import DEAD_AXES, STUCK_AXES, Session
 from smoother.trajectory import (
     DELAY_CHANGES,
     MIRRORED_AXES,
-    MIRRORED_PLACES,
     MOTION_UNLIKE,
     STATED,
     UNLIKE_AXES,
@@ -141,10 +140,9 @@ def _named_reasons(session: Session, estimate: Trajectory) -> list[str]:
     """What problems name that makes a result wrong by many sigmas which itself looks whole.
 
     Axes that no mounting explains or that show nothing, and a stated mounting that is not that of the session, give
-    such attitudes; a wrong or changing delay, and samples of another motion, such places and speeds. A mirrored track
-    is wrong whatever was made of it.
+    such attitudes; a wrong or changing delay, and samples of another motion, such places and speeds.
     """
-    in_any_mode = (MIRRORED_PLACES, STATED, DELAY_CHANGES, MOTION_UNLIKE, VELOCITY_EARLY)
+    in_any_mode = (STATED, DELAY_CHANGES, MOTION_UNLIKE, VELOCITY_EARLY)
     anyway = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in in_any_mode]
     if estimate.report.mode != "full":
         return anyway

@@ -22,8 +22,6 @@ from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.begin import Begun, begin
 from smoother.estimate.initial.guess import Start, have_samples, on_the_wheel
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.leaning import leaning_problems
-from smoother.estimate.mirrored import explained
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.sampled import sampled_spans
 from smoother.estimate.model.state import COLUMNS
@@ -117,7 +115,7 @@ class GraphSmoother:
             found = self._along_positions(session)
         else:
             found = in_session_time(self._along_positions(in_true_time(session, scale)), scale)
-        told = explained(found.report.problems, session)
+        told = found.report.problems
         return replace(found, report=replace(found.report, problems=(*told, *problems)))
 
     def _along_positions(self, session: Session) -> Trajectory:
@@ -382,7 +380,6 @@ def _completed_report(given: Session, begun: Begun, solved: Solved, trajectory: 
             *_blamed(begun, found.known.noise),
             *_early(told.identified),
             *_velocities_early(told.identified),
-            *leaning_problems(trajectory),
             *begun.problems,
             *begun.clock.problems(given),
         ),

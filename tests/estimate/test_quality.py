@@ -275,12 +275,6 @@ def test_axes_that_no_mounting_explains_are_wrong_wherever_they_were_used(code: 
     assert assess(session(), estimate(report=replace(told, mode="gps-only"))).passed
 
 
-@pytest.mark.parametrize("mode", ["full", "gps-only"])
-def test_a_mirrored_track_is_wrong_whatever_was_made_of_it(mode: str) -> None:
-    told = EstimateReport(problems=(Problem("gps_mirrored", "longitude has the wrong sign: change it"),), mode=mode)
-    assert assess(session(), estimate(report=told)).reasons == ("longitude has the wrong sign",)
-
-
 def test_nobody_judges_what_was_while_both_sensors_paused() -> None:
     """Rows there run away, as nothing tells otherwise; a hole of 100 s is half of this session."""
     whole, found = session(), estimate()

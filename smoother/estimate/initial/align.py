@@ -13,7 +13,6 @@ of 60 deg/s. Repeating the fit at shifted times tells how far the fixes lag. A k
 leaves less; then gravity alone levels, and what is unknown is said.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,22 +20,13 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, runs_of
 from smoother.disc import pieces, release, roomy
-from smoother.estimate import axis_mistakes
 from smoother.estimate.averages import WINDOW, averages_of, in_gap, steps
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
-from smoother.estimate.lean_rates import (
-    AROUND,
-    LeanRates,
-    both_turned_round,
-    lean_rates,
-    slight_mistakes,
-    wrong_naming,
-)
 from smoother.estimate.path_motion import LAGS, MIN_SPEED, PathMotion, path_axes, peak, sampled_at_speed, thinned
+from smoother.estimate.preprocess.gains import Gains
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
-from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
-from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.units import STANDARD_GRAVITY
 
 # fixes at speed from which on they tell how the box lies; and those that a parked kart's noise does not make up
 FEWEST_AT_SPEED, SOME_AT_SPEED = 30, 10
@@ -47,21 +37,6 @@ FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
 # Fixes, evenly taken, that are enough to find the lag roughly, and for the fit: 4000 windows with a kart's vibration
 # know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
 ENOUGH_FOR_LAG, ENOUGH = 500, 4000
-LEAST_SLOPE, LEAST_SHARE = 0.4, 0.5  # of 1 in both; karts and cars have 0.55 and 0.78 or more, noise alone 0.2 and 0.1
-OVER = 100.0 * DEG  # likewise of boxes on steering wheels
-APART = 45.0 * DEG  # between what is up by forces and by turns; real and simulated boxes have 8 deg or less
-MIRRORED = (
-    "ax, ay, az are not right-handed: the forces fit a mirrored box and no turned one; one axis has the wrong sign, or "
-    "two are exchanged{}. Change it in the recording; attitude and accelerations are wrong"
-)
-DISAGREE = (
-    "the axis about which the gyroscope turns is {:.0f} deg from the one along which gravity is felt: its axes are not "
-    "the accelerometer's, one has the wrong sign, or two are exchanged{}. Change it in the recording; attitude is wrong"
-)
-LEANS_ELSEWHERE = (
-    "the axes of the gyroscope are not the accelerometer's: in bends, on the way into them and on the brakes the box "
-    "turns as no kart leans{}. Change it in the recording; roll and pitch are wrong"
-)
 SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
 SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
 BESIDE_SPIN = 1.0  # s
@@ -79,10 +54,7 @@ class Alignment:
     is_level_only: the heading of the box in the kart could not be found, for want of fixes at speed. accel_noise
     m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
     since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
-    turn_scale, force_scale: how many times as fast as the course the box turns, and how many times gravity it feels;
-    NaN where the fixes do not explain it. is_misnamed: problems are of axes that no box on a steering wheel has either.
-    felt (3, 3): columns of what is felt ahead, to the left and upwards in s, in parts of what there is; a rotation if
-    all axes are in one unit, and None where the fixes do not explain it. by_changes: fixes are rare, and explained are
+    gains: see `preprocess.gains`; None without fixes at speed. by_changes: fixes are rare, and explained are
     turns and changes of velocity from one to the next, whichever less.
     """
 
@@ -94,11 +66,13 @@ class Alignment:
     accel_noise: float = 0.0
     gyro_noise: float = 0.0
     problems: tuple[Problem, ...] = ()
-    turn_scale: float = np.nan
-    force_scale: float = np.nan
-    is_misnamed: bool = False
-    felt: Array | None = None
+    gains: Gains | None = None
     by_changes: bool = False
+
+    @property
+    def is_misnamed(self) -> bool:
+        """Whether axes are wrong on a steering wheel, too."""
+        return self.gains is not None and self.gains.is_beyond_wheel
 
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
@@ -116,9 +90,7 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
 
     few, use = thinned(use, ENOUGH_FOR_LAG), thinned(use, ENOUGH)
     lag = best(best(LAGS, few) + FINER_LAGS, use)
-    at = path.t[use]
-    _, rate = averages.around(at - lag, AROUND)
-    return _fit(axes[use], *averages.around(at - lag, WINDOW), lag, lean_rates(path.t, axes, at, rate))
+    return _fit(axes[use], *averages.around(path.t[use] - lag, WINDOW), lag)
 
 
 def _unsampled(sampled: Array, t: Array) -> BoolArray:
@@ -132,76 +104,28 @@ def _of_rare(found: RareAlignment) -> Alignment:
     return Alignment(found.R_bs, found.gyro_bias_s, found.lag, share, False, *noise, by_changes=True)
 
 
-def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates | None) -> Alignment:
-    """Mounting and biases from motion along the path's axes (N, 3) and what the box measured, each (N, 3).
-
-    leaning: what the rates say of how the vehicle leans.
-    """
+def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
+    """Mounting and biases from motion along the path's axes (N, 3) and what the box measured, each (N, 3)."""
     rate_fit, force_fit = _fit_lines(axes[:, 2:], rate), _fit_lines(axes[:, :2], force)
     # each slope is a direction of the kart's axis in the box; gravity's is the intercept of the force
-    upward, (along, aside, gravity) = rate_fit.lines[0], force_fit.lines
-    directions_s = np.stack([along, aside, gravity / STANDARD_GRAVITY, upward])
+    gains = Gains.of(force_fit.lines, rate_fit.lines, float(force_fit.share), float(rate_fit.share))
+    directions_s = np.concatenate([gains.force.T, gains.turn[None]])
     directions_b = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, 1.0]])
     forward, left, yaw_rate = np.std(axes, axis=0)
     weights = np.array([forward, left, STANDARD_GRAVITY, 10.0 * yaw_rate])
     turned = np.einsum("i,ij,ik->ijk", weights, directions_b, directions_s)
-    R_bs, by_forces = so3.normalized(turned.sum(axis=0)), so3.normalized(turned[:3].sum(axis=0))
-    doubts = tuple(_doubts(force_fit, rate_fit, leaning, by_forces))
-    is_misnamed = bool(doubts) and _no_wheel_does(upward, gravity, leaning, by_forces)
     share, root = 0.5 * float(rate_fit.share + force_fit.share), float(np.sqrt(WINDOW))
     return Alignment(
-        R_bs,
+        so3.normalized(turned.sum(axis=0)),
         rate_fit.lines[1],
         lag,
         share,
         False,
         float(force_fit.rest) * root,
         float(rate_fit.rest) * root,
-        doubts,
-        float(np.linalg.norm(upward)) if rate_fit.share > LEAST_SHARE else np.nan,
-        float(np.linalg.norm(gravity)) / STANDARD_GRAVITY if force_fit.share > LEAST_SHARE else np.nan,
-        is_misnamed,
-        directions_s[:3].T if force_fit.share > LEAST_SHARE else None,
+        gains.problems(),
+        gains,
     )
-
-
-def _doubts(force_fit: "_Lines", rate_fit: "_Lines", leaning: LeanRates | None, by_forces: Array) -> Iterator[Problem]:
-    """What speaks against axes that are right-handed and shared by both sensors, where the slopes are known well.
-
-    Along, aside and gravity are found each by itself, so that nothing forces them to be right-handed: of every box they
-    came out within 15 deg of it or the mirror image. What is up by the forces and by turns likewise: within 8 deg.
-    by_forces (3, 3): the mounting that the forces alone tell.
-    """
-    along, aside, gravity = force_fit.lines
-    upward = rate_fit.lines[0]
-    feels = min(np.linalg.norm(along), np.linalg.norm(aside)) > LEAST_SLOPE and force_fit.share > LEAST_SHARE
-    turns = np.linalg.norm(upward) > LEAST_SLOPE and rate_fit.share > LEAST_SHARE
-    is_mirrored = bool(feels) and axis_mistakes.handedness(along, aside, gravity) < -axis_mistakes.HANDED
-    hint = axis_mistakes.advice(along, aside, gravity, upward) if feels and turns else ""
-    if is_mirrored:
-        yield Problem(MIRRORED_AXES, MIRRORED.format(hint))
-    known = leaning if feels and turns and not is_mirrored else None
-    wrong = None if known is None else wrong_naming(known, by_forces)
-    if wrong is not None:
-        hint = axis_mistakes.remedy(wrong.words)
-    if turns and (angle := axis_mistakes.apart(upward, gravity)) > APART:
-        yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, hint))
-    elif wrong is not None:
-        yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(hint))
-    elif known is not None and (words := both_turned_round(known, by_forces)) is not None:
-        yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(axis_mistakes.remedy(words)))
-    elif known is not None and (mistakes := slight_mistakes(known, by_forces)):
-        yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, axis_mistakes.remedy(*mistakes)))
-
-
-def _no_wheel_does(upward: Array, gravity: Array, leaning: LeanRates | None, by_forces: Array) -> bool:
-    """Whether a box whose axes are doubted has them wrong on a steering wheel, too.
-
-    A wheel turns about its column, which is less than OVER from up; and leans otherwise than any vehicle.
-    """
-    if axis_mistakes.apart(upward, gravity) > OVER:
-        return True
-    return leaning is not None and wrong_naming(leaning, by_forces) is not None
 
 
 @dataclass(frozen=True, eq=False)

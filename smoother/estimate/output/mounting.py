@@ -14,7 +14,6 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
-from smoother.estimate.leaning import LEAST_LEAN
 from smoother.estimate.model.imu import are_told
 from smoother.estimate.model.state import State
 from smoother.estimate.output.ground import CELL, Visits
@@ -233,7 +232,7 @@ def _leans_with_the_hand(keyframes: Keyframes, lean: Array, slip: Array, driving
     push, memory = _push(keyframes), max(1, round(MEMORY / interval))
     design = np.stack([push, np.ones(len(push))], axis=1)[driving]
     inwards, sigma = _first_of_line(design, -lean[driving], memory)
-    if not max(LEAN_IN, SURE * sigma) < inwards < -LEAST_LEAN or inwards**2 * np.mean(design[:, 0] ** 2) < 2.0 * unsure:
+    if not max(LEAN_IN, SURE * sigma) < inwards or inwards**2 * np.mean(design[:, 0] ** 2) < 2.0 * unsure:
         return False
     width = 0.5 * HAND_SPAN / interval
     quick = np.stack([values - gaussian_mean(values, width) for values in (slip, push, lean)], axis=1)[driving]
