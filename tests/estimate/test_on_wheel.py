@@ -10,9 +10,9 @@ from smoother.estimate import on_wheel
 from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.force_size import size_delay
 from smoother.estimate.initial.align import align
+from smoother.estimate.initial.units import beginning
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
 from smoother.estimate.path_motion import PathMotion
-from smoother.estimate.preprocess.units import beginning
 from smoother.fit.running import running_mean
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, ImuSamples, Problem

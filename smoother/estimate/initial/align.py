@@ -24,7 +24,6 @@ from smoother.estimate.averages import WINDOW, averages_of, in_gap, steps
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
 from smoother.estimate.path_motion import LAGS, MIN_SPEED, PathMotion, path_axes, peak, sampled_at_speed, thinned
 from smoother.estimate.preprocess.gains import Gains
-from smoother.estimate.preprocess.lean_rates import AROUND, LeanRates, lean_rates, wrong_columns
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
 from smoother.units import STANDARD_GRAVITY
@@ -56,8 +55,7 @@ class Alignment:
     m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
     since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
     gains: see `preprocess.gains`; None without fixes at speed. by_changes: fixes are rare, and explained are
-    turns and changes of velocity from one to the next, whichever less. has_other_axes: the axes of the gyroscope are
-    not those of the accelerometer, by the rates of lean.
+    turns and changes of velocity from one to the next, whichever less.
     """
 
     R_bs: Array
@@ -70,12 +68,11 @@ class Alignment:
     problems: tuple[Problem, ...] = ()
     gains: Gains | None = None
     by_changes: bool = False
-    has_other_axes: bool = False
 
     @property
     def is_misnamed(self) -> bool:
-        """Whether axes are wrong on a steering wheel, too, which turns about its column and leans as no vehicle."""
-        return self.has_other_axes or (self.gains is not None and self.gains.is_beyond_wheel)
+        """Whether axes are wrong on a steering wheel, too."""
+        return self.gains is not None and self.gains.is_beyond_wheel
 
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
@@ -93,9 +90,7 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
 
     few, use = thinned(use, ENOUGH_FOR_LAG), thinned(use, ENOUGH)
     lag = best(best(LAGS, few) + FINER_LAGS, use)
-    at = path.t[use]
-    leaning = lean_rates(path.t, axes, at, averages.around(at - lag, AROUND)[1])
-    return _fit(axes[use], *averages.around(at - lag, WINDOW), lag, leaning)
+    return _fit(axes[use], *averages.around(path.t[use] - lag, WINDOW), lag)
 
 
 def _unsampled(sampled: Array, t: Array) -> BoolArray:
@@ -109,8 +104,8 @@ def _of_rare(found: RareAlignment) -> Alignment:
     return Alignment(found.R_bs, found.gyro_bias_s, found.lag, share, False, *noise, by_changes=True)
 
 
-def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates | None) -> Alignment:
-    """Mounting and biases from motion along the path's axes (N, 3), force and rate (N, 3), and rates of lean."""
+def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
+    """Mounting and biases from motion along the path's axes (N, 3) and what the IMU measured, each (N, 3)."""
     rate_fit, force_fit = _fit_lines(axes[:, 2:], rate), _fit_lines(axes[:, :2], force)
     # each slope is a direction of the kart's axis in the box; gravity's is the intercept of the force
     gains = Gains.of(force_fit.lines, rate_fit.lines, float(force_fit.share), float(rate_fit.share))
@@ -119,8 +114,6 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates 
     forward, left, yaw_rate = np.std(axes, axis=0)
     weights = np.array([forward, left, STANDARD_GRAVITY, 10.0 * yaw_rate])
     turned = np.einsum("i,ij,ik->ijk", weights, directions_b, directions_s)
-    by_forces = so3.normalized(turned[:3].sum(axis=0))
-    columns = "" if leaning is None else wrong_columns(leaning, by_forces)
     share, root = 0.5 * float(rate_fit.share + force_fit.share), float(np.sqrt(WINDOW))
     return Alignment(
         so3.normalized(turned.sum(axis=0)),
@@ -130,9 +123,8 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates 
         False,
         float(force_fit.rest) * root,
         float(rate_fit.rest) * root,
-        gains.problems(columns),
+        gains.problems(),
         gains,
-        has_other_axes=bool(columns),
     )
 
 

@@ -33,10 +33,6 @@ DISAGREE = (
     "accelerometer are not the same, one has the wrong sign, or two are exchanged{}. Correct the recording; attitude "
     "is wrong"
 )
-LEANS_ELSEWHERE = (
-    "the axes of the gyroscope are not those of the accelerometer: in bends and on the brakes the sensor rolls and "
-    "pitches as no vehicle does{}. Correct the recording; roll and pitch are wrong"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,22 +84,13 @@ class Gains:
         """Whether the axis of turn is farther from up than the column of a steering wheel."""
         return self.has_turn and _angle(self.turn, self.up) > APART_ON_WHEEL
 
-    def problems(self, columns: str = "") -> tuple[Problem, ...]:
-        """Report axes that no mounting of a sensor explains, with the mistakes that would.
-
-        columns: of the gyroscope, as the rates of lean show them; see `lean_rates`.
-        """
+    def problems(self) -> tuple[Problem, ...]:
+        """Report axes that no mounting of a sensor explains, with the mistakes that would."""
         out, hint = [], self._remedy() if self.has_force and self.has_turn else ""
-        is_mirrored = self.has_force and _handedness(self.force) < -HANDED
-        if is_mirrored:
+        if self.has_force and _handedness(self.force) < -HANDED:
             out.append(Problem(MIRRORED_AXES, MIRRORED.format(hint)))
-        leans_elsewhere = bool(columns) and self.has_force and self.has_turn and not is_mirrored
-        if leans_elsewhere:
-            hint = f"; it all fits once gx, gy, gz are filled from the columns {columns}"
         if self.has_turn and (angle := _angle(self.turn, self.up)) > APART:
             out.append(Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, hint)))
-        elif leans_elsewhere:
-            out.append(Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(hint)))
         return tuple(out)
 
     def _remedy(self) -> str:
