@@ -319,7 +319,7 @@ SESSIONS: tuple[HardSession, ...] = (
     _hard("box_turns_by_6_deg", "right, or exit 3", damage=turned_after(MIDDLE, (0.0, 0.0, 6.0))),
     _hard(
         "box_turned_over",
-        "right: the part with less way is left out",
+        "the fixes alone, late by what no IMU shows; reported",
         damage=turned_after(MIDDLE, (180.0, 0.0, 0.0)),
         quick=True,
     ),

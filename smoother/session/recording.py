@@ -19,11 +19,8 @@ from smoother.session.checks.times import CLOCKS, DATES, GAPS, TOGETHER
 from smoother.session.checks.wheel import WHEEL_CHECKS
 from smoother.session.clock import TimeBase, describe_time_base, regularize, true_fix_times
 from smoother.session.files import SessionFiles
-from smoother.session.inertial import FEWEST_IMU_SAMPLES
 from smoother.session.recorded import Recording
 from smoother.session.settings import load_settings
-from smoother.session.turned import without_turned, without_turned_about
-from smoother.words import counted
 
 __all__ = ["Recording", "finish"]
 
@@ -51,8 +48,6 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         recording, said = _without_filter_delay(recording, config.imu_delay)
         problems += said
         config = replace(config, imu_delay=config.imu_delay if recording.imu_delay is None else recording.imu_delay)
-        recording, said = _without_turned(recording)
-        problems += said
     if recording.imu is not None:
         _require_overlap(recording)
         recording, said = run(TOGETHER, recording)
@@ -121,7 +116,7 @@ def _with_even_samples(recording: Recording) -> tuple[Recording, list[Problem]]:
         text = "no IMU that can be used" if is_there else "no IMU recorded"
         return recording, [Problem("imu_missing", f"{text}: smoothed from GPS alone")]
     if len(imu.t) == 0:
-        return replace(recording, imu=None), [_too_few(recording, 0, "")]
+        return replace(recording, imu=None), [_no_samples(recording)]
     base = regularize(imu.t)
     imu = replace(imu, t=kept(base.t), longest_step=base.longest_step)
     release(imu)
@@ -134,9 +129,8 @@ def _of_time_base(recording: Recording, base: TimeBase) -> list[Problem]:
     return [] if recording.imu is None else describe_time_base(base, "imu", recording.imu_file)
 
 
-def _too_few(recording: Recording, count: int, which: str) -> Problem:
-    text = f"{recording.imu_file}: only {counted(count, 'usable sample')}{which}: smoothed from GPS alone"
-    return Problem("imu_missing", text)
+def _no_samples(recording: Recording) -> Problem:
+    return Problem("imu_missing", f"{recording.imu_file}: no usable sample: smoothed from GPS alone")
 
 
 def _with_even_fixes(recording: Recording) -> tuple[Recording, list[Problem]]:
@@ -167,17 +161,6 @@ def _without_filter_delay(recording: Recording, delay: float | None) -> tuple[Re
         text = f"session.toml: [imu] delay is not used; {recording.imu_file} says what its filter was"
         return recording, [Problem("imu_delay_known", text)]
     return replace(recording, imu=replace(imu, t=imu.t - (delay - 0.5 * median(np.diff(imu.t))))), []
-
-
-def _without_turned(recording: Recording) -> tuple[Recording, list[Problem]]:
-    """The samples without those in which the box lies otherwise."""
-    problems: list[Problem] = []
-    imu = without_turned(recording.samples, recording.gnss, recording.imu_file, problems)
-    imu = without_turned_about(imu, recording.gnss, recording.imu_file, problems)
-    if len(imu.t) >= FEWEST_IMU_SAMPLES:
-        return replace(recording, imu=imu), problems
-    few = _too_few(recording, len(imu.t), " in which the mounting is that of most")
-    return replace(recording, imu=None), [*problems, few]
 
 
 def _require_overlap(recording: Recording) -> None:

@@ -98,19 +98,6 @@ def test_acceleration_without_gravity_is_asked_about(folder: Folder, up: float, 
     assert ("no gravity in ax, ay, az; is it linear acceleration?" in told.get("imu_implausible", "")) == is_said
 
 
-def test_a_box_that_never_lies_the_same_way_for_long_leaves_the_fixes(folder: Folder) -> None:
-    t = np.arange(0.0, 240.0, 0.02)
-    values = np.column_stack([t, 0.1 * np.random.default_rng(1).standard_normal((t.size, 6))])
-    up = (t // 20.0).astype(int) % 6
-    values[np.arange(t.size), 1 + up // 2] += np.where(up % 2, -9.8, 9.8)
-    rows = "\n".join(",".join(f"{value:.4f}" for value in row) for row in values)
-    fixes = "\n".join(f"{i * 0.2:.1f},{45.0 + 3e-5 * i:.7f},12.0" for i in range(1200))
-    tables = {"gps__csv": f"t_s,lat_deg,lon_deg\n{fixes}\n", "imu__csv": f"t_s,ax,ay,az,gx,gy,gz\n{rows}\n"}
-    raw = folder.write(**tables).load()
-    assert raw.imu is None
-    assert raw.problems[-1].text.endswith("in which the mounting is that of most: smoothed from GPS alone")
-
-
 @pytest.mark.parametrize(
     ("imu", "said"),
     [
