@@ -3,16 +3,11 @@
 A hand turns the wheel to and fro within a second, a kart turns slower. The column leans to the driver, so that each
 such turn to the left is one about up and about what points backwards, together. A box on the frame turns about up
 alone and leans to the other side, by a tenth of that, and late.
-
-Where vibration that the sampling folds hides those turns, the path tells them apart (:func:`turns_with_bends`): a wheel
-is turned as the path bends, and vibration knows nothing of the fixes.
 """
 
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.averages import averages_of
-from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.fit.running import running_mean
 from smoother.samples import GnssFixes, ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
@@ -27,12 +22,7 @@ LEAST_ROLL, LEAST_TOGETHER = 0.5, 0.7
 # common in any proportion. Real boxes on wheels have 0.04 and 0.2, shaken ones whose wheel does not show 0.6 and more
 # at 25 Hz. At 100 Hz an engine that turns as often is folded to turns as slow as a hand's: frames have 0.23 to 0.45
 MOST_FOLDED = 0.3
-# rad m, by which the box leans inwards with the bend's curvature, and sigmas of that: simulated wheels have 0.6 to 3.4,
-# boxes on frames -0.5 to 0.2, at three sigmas of their own or less. And the turn about up, in parts of it
-LEAST_TURN, CERTAIN, TURNS_TOO = 0.5, 4.0, (0.3, 3.0)
-WINDOW, BLOCK, ENOUGH = 0.3, 5.0, 4000  # s over which turns are averaged; s that what is left lasts for; windows
 SHORTEST = 4e-3  # s between samples: a hand needs no quicker ones, and means of them fold less
-SLOWEST = 3.0  # m/s, lest a course at a walk counts for a bend
 # samples that tell a wheel, from where the kart drives off on: ten copies of them are in memory at once
 MOST = 1 << 20
 
@@ -58,31 +48,6 @@ def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
         return False
     shared = float(roll @ yaw)
     return shared / power < -LEAST_ROLL and shared / np.sqrt(power * float(roll @ roll)) < -LEAST_TOGETHER
-
-
-def turns_with_bends(imu: ImuSamples, path: PathMotion, R_bs: Array, delay: float) -> bool:
-    """Whether the box leans and turns with how the path bends, as a steering wheel is turned.
-
-    R_bs (3, 3): rough mounting. delay s of the path behind the samples, not that by which the box turns most alike: a
-    wheel turns before the kart does. Roll and yaw are fitted by the change of curvature, the turn of the path, and the
-    jerk to the left, which a kart leans and slips with; sigmas are from the scatter between blocks of BLOCK.
-    """
-    use = thinned(sampled_at_speed(imu, path), ENOUGH)
-    if use.size < FEWEST:
-        return False
-    _, left, turn = path_axes(path).T
-    change = np.gradient(turn / np.maximum(path.speed, SLOWEST), path.t)
-    design = np.column_stack([change, turn, np.gradient(left, path.t), np.ones(len(turn))])[use]
-    _, rate = averages_of(imu).around(path.t[use] - delay, WINDOW)
-    inverse = np.linalg.pinv(design.T @ design)
-    turned = rate @ R_bs[[0, 2]].T
-    lines = inverse @ design.T @ turned
-    roll, yaw = lines[0]
-    rest = turned[:, 0] - design @ lines[:, 0]
-    score = np.zeros((int((path.t[use[-1]] - path.t[use[0]]) / BLOCK) + 1, design.shape[1]))
-    np.add.at(score, ((path.t[use] - path.t[use[0]]) / BLOCK).astype(np.intp), design * rest[:, None])
-    sigma = float(np.linalg.norm(score @ inverse[0]))
-    return bool(-roll > max(LEAST_TURN, CERTAIN * sigma) and TURNS_TOO[0] < yaw / -roll < TURNS_TOO[1])
 
 
 def _folded(shaking: Array, slow: int, quick: int) -> float:

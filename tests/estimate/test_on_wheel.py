@@ -7,14 +7,9 @@ import pytest
 
 from smoother import so3
 from smoother.estimate import on_wheel
-from smoother.estimate.fixes.pieces import fit_path
-from smoother.estimate.force_size import size_delay
-from smoother.estimate.initial.align import align
 from smoother.estimate.initial.units import beginning
-from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
-from smoother.estimate.path_motion import PathMotion
+from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
 from smoother.fit.running import running_mean
-from smoother.prepare import prepare
 from smoother.samples import GnssFixes, ImuSamples, Problem
 from smoother.sim.motion import wander
 from smoother.sim.simulation import simulate_preset
@@ -89,27 +84,6 @@ def test_an_engine_that_turns_about_as_often_as_samples_are_taken_is_no_wheel() 
     folded = 100.0 * DEG * np.sin(2.0 * np.pi * np.cumsum(engine_hz) * 0.01)
     shaken = replace(imu, angular_rate_s=imu.angular_rate_s + folded[:, None] * (up_s - 0.9 * ahead_s))
     assert not is_on_wheel(shaken, simulation.raw.gnss)
-
-
-def turned_and_shaken(preset: str, seed: int, **changes: object) -> tuple[bool, bool]:
-    """Whether a box that is shaken by 70 deg/s, sampled 100 times a second without a filter, is seen on a wheel."""
-    shaken = {"imu_rate": 100.0, "imu_anti_alias_hz": None, "imu_gyro_tone": 100.0 * DEG, "imu_accel_tone": 6.0}
-    session = prepare(simulate_preset(preset, seed, duration=240.0, gnss_outages=(), **shaken, **changes).raw)
-    assert session.imu is not None
-    path = PathMotion(session.gnss.t, fit_path(session).at(session.gnss.t).velocity_n)
-    delay, R_bs = size_delay(session.imu, path).delay, align(session.imu, path).R_bs
-    return is_on_wheel(session.imu, session.gnss), turns_with_bends(session.imu, path, R_bs, delay)
-
-
-@pytest.mark.parametrize("seed", [2, 3])
-def test_a_shaken_wheel_is_told_by_the_bends(seed: int) -> None:
-    wheel = {"motion_steering": 1.0 * DEG, "motion_steering_per_curvature": 2.5}
-    assert turned_and_shaken("kart", seed, **wheel) == (False, True)
-
-
-@pytest.mark.parametrize("preset", ["kart", "kart_harsh"])
-def test_a_shaken_frame_does_not_turn_with_the_bends(preset: str) -> None:
-    assert not any(any(turned_and_shaken(preset, seed)) for seed in range(4))
 
 
 def test_nothing_is_said_of_a_kart_that_did_not_drive() -> None:

@@ -16,7 +16,6 @@ from smoother.estimate.fixes.claims import claims_of, receiver_share
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.fixes.screen import most_say_velocity
-from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
 from smoother.estimate.initial.at_rest import scale_at_rest
 from smoother.estimate.initial.first_noise import first_noise, scatter_of
@@ -26,19 +25,15 @@ from smoother.estimate.model.imu import BinnedImu, bin_imu, halved
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
-from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
+from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
 from smoother.estimate.path_motion import MIN_SPEED, PathMotion, near_told
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.estimate.solvers.identify import Problem
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.fit.standstill import believed_at_rest, session_standstill
 from smoother.samples import Session
-from smoother.units import DEG
 
 DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
-# rad/s/sqrt(Hz) that the path leaves of the rates, from which on they may be a wheel's, or folded vibration: simulated
-# karts with boxes on frames have 1.2 deg/s, harsh ones 3.5, those on shaken wheels 2.4 to 9
-DOUBTED_RATES = 2.0 * DEG
 ARM_ON_WHEEL = 0.02  # m
 
 
@@ -81,10 +76,10 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
     is_told = None if told.all() else near_told(session.gnss.t, told)
     driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_told)
     alignment = align(session.imu, driven)
-    is_steered, by_size = _on_wheel_and_delay(session, driven, alignment)
+    is_steered = not alignment.is_misnamed and is_on_wheel(session.imu, session.gnss)
     if is_steered:
         alignment = replace(alignment, problems=without_the_wheels(alignment.problems))
-    priors = _priors(session, alignment, path, options, by_size)
+    priors = _priors(session, alignment, path, options)
     priors = with_short_arm(priors) if is_steered else priors
     spans = sampled_spans(session.imu.t)
     begin, end = busiest_span(driven, spans, span)
@@ -127,20 +122,6 @@ def problem_of(start: Start) -> Problem:
     return Problem(
         start.binned, start.data, start.priors, start.state, start.noise, scatter_of(start.binned), stated, start.table
     )
-
-
-def _on_wheel_and_delay(session: Session, driven: PathMotion, alignment: Alignment) -> tuple[bool, SizeDelay]:
-    """Whether the box is on the steering wheel; the delay of `driven` by the size of the force where that matters."""
-    assert session.imu is not None
-    if alignment.is_misnamed:
-        return False, UNSEEN
-    is_steered = is_on_wheel(session.imu, session.gnss)
-    if alignment.is_level_only or not (is_steered or alignment.gyro_noise > DOUBTED_RATES):
-        return is_steered, UNSEEN
-    by_size = size_delay(session.imu, driven)
-    if not is_steered and by_size.is_seen:
-        is_steered = turns_with_bends(session.imu, driven, alignment.R_bs, by_size.delay)
-    return is_steered, by_size
 
 
 def informed(session: Session, start: Start, options: GraphOptions, found: State) -> Start:
@@ -269,17 +250,12 @@ def _relative(reported: Array) -> Array:
     return np.fmax(1.0, np.where(np.isfinite(reported), reported / np.nanmedian(reported), 1.0))
 
 
-def _priors(
-    session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions, by_size: SizeDelay
-) -> Priors:
+def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
     timing, mounting = session.config.gps, session.config.mounting
     has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
     between = path.velocity_lag.value if has_velocity else 0.0
     lag = float(np.clip(alignment.lag + path.position_latency, 0.0, MAX_LATENCY))
     late = max(lag - between, 0.0), lag
-    if by_size.is_seen:  # the wheel turns before the kart: the alignment's lag is late by as much
-        position = by_size.delay + path.position_latency
-        late = position, position + between
     found = dict.fromkeys(SENSOR_SCALE, 1.0)  # with the noise
     constants = {c.name: (np.zeros(c.size), np.full(c.size, (options.sigmas | found)[c.name])) for c in CONSTANTS}
     for name, value, stated in zip(
