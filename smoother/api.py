@@ -50,7 +50,6 @@ __all__ = [
     "read_raw",
     "read_truth",
     "resample",
-    "retimed",
     "short_graph",
     "simulate",
     "smooth",
@@ -189,13 +188,6 @@ def gps_alone(session: Session, rate: float = 50.0) -> Trajectory:
     return GpsAlone(rate).estimate(session)
 
 
-def retimed(session: Session, trajectory: Trajectory) -> Session:
-    """Return the session at the times of the trajectory: the same, unless the smoother found that a clock stepped."""
-    from smoother.estimate.preprocess.clock import moved
-
-    return moved(session, trajectory.report.clock_moves)
-
-
 def resample(trajectory: Trajectory, t: Array) -> Trajectory:
     """Return the trajectory at times t (N,) s inside its span; raises ValueError outside.
 
@@ -230,7 +222,7 @@ def laps(
     options = replace(options_on(trajectory, session.origin, said), reference=reference)
     if line is not None and not isinstance(line, str):
         options = replace(options, lines=line if isinstance(line, GivenLines) else GivenLines(line))
-    return analyse_rows(trajectory, fix_path(retimed(session, trajectory)), options)
+    return analyse_rows(trajectory, fix_path(session), options)
 
 
 def read_truth(folder: Path, origin: Origin) -> Trajectory:
@@ -264,7 +256,7 @@ def assess(session: Session, trajectory: Trajectory) -> Quality:
     """Return the verdict of the quality gate: `passed`, and `reasons` where it did not. No truth is needed."""
     from smoother.estimate.quality import assess as assessed
 
-    return assessed(retimed(session, trajectory), trajectory)
+    return assessed(session, trajectory)
 
 
 def write_results(
@@ -283,7 +275,7 @@ def write_results(
     from smoother.report.page import Report, write_page
 
     folder.mkdir(parents=True, exist_ok=True)
-    session, quality = retimed(session, trajectory), assess(session, trajectory)
+    quality = assess(session, trajectory)
     write_tables(folder, session, trajectory, laps, baseline)
     document = summary(session, trajectory, quality, laps)
     write_json(folder / SUMMARY, document)
@@ -301,7 +293,7 @@ def write_tables(
 ) -> UtcClock | None:
     """Write trajectory.csv, gps.csv, and laps.csv and baseline.csv where there are any; return the clock of `utc`.
 
-    session: at the times of the trajectory, see :func:`retimed`. every: of the rows every n-th is written.
+    every: of the rows every n-th is written.
     """
     from smoother.estimate.true_time import utc_clock
     from smoother.laps.document import lap_table

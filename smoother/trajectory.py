@@ -111,18 +111,7 @@ IMU_SHAKEN = "imu_shaken"  # the problem of samples that the engine's vibration 
 
 MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of axes that no mounting of a box explains
 STATED = "stated_wrong"  # problems of a delay, arm or mounting that is stated of a session, which contradicts it
-# problems of fixes that are late behind the samples now more, now less; or are of another motion than these for a while
-DELAY_CHANGES, MOTION_UNLIKE = "delay_changes", "motion_unlike"
 VELOCITY_EARLY = "gps_velocity_early"  # the problem of velocities that come before they are true, unlike positions
-
-
-@dataclass(frozen=True)
-class ClockMove:
-    """Times after `at` s, of the fixes or else of the samples, are changed by `by` s: stamps had stepped there."""
-
-    moves_fixes: bool
-    at: float
-    by: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +124,6 @@ class EstimateReport:
     keyframes: Keyframes | None = None
     problems: tuple[Problem, ...] = ()
     left_out: BoolArray | None = None  # (F,) fixes of which no position was used, as `problems` say; None: all were
-    clock_moves: tuple[ClockMove, ...] = ()  # all times are those of the session with them
     timings: dict[str, float] = field(default_factory=dict)  # s per stage
     mode: str = "full"  # "full" or "gps-only"
 

@@ -17,7 +17,7 @@ from smoother.cli.main import run
 from smoother.errors import SessionError, UsageError
 from smoother.laps.results import GivenLines, LapAnalysis
 from smoother.samples import Session
-from smoother.trajectory import ClockMove, Trajectory
+from smoother.trajectory import Trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
 PLAIN = (  # modules that docs/python.md names as stable
@@ -212,15 +212,6 @@ def test_a_given_line_is_where_laps_begin(both: Both) -> None:
     assert np.all((nearest > 0.3) & (nearest < 5.0))  # s, that 20 m take
     with pytest.raises(UsageError, match="neither a track file"):
         api.laps(both.session, both.trajectory, "no such track")
-
-
-def test_a_clock_that_stepped_is_corrected_in_the_session(both: Both) -> None:
-    assert api.retimed(both.session, both.trajectory) is both.session
-    move = ClockMove(at=50.0, by=0.25, moves_fixes=True)
-    report = replace(both.trajectory.report, clock_moves=(move,))
-    stepped = api.retimed(both.session, replace(both.trajectory, report=report))
-    t = both.session.gnss.t
-    np.testing.assert_allclose(stepped.gnss.t - t, np.where(t > 50.0, 0.25, 0.0), atol=1e-9)
 
 
 def test_degrees_per_second_of_a_self_made_session_are_converted(both: Both) -> None:

@@ -186,14 +186,13 @@ def estimate(session: Session, options: Options, watch: Stopwatch, progress: Pro
     with watch.stage("smoothing"):
         every = steps(options.rate)
         smoothed = api.smooth(session, options.rate * every, options.solver, progress=progress)
-    recorded, session = session, api.retimed(session, smoothed)
     settle(session.imu, smoothed)
     baseline = None
     if options.baseline:
         progress("baseline", 0.0)
         with watch.stage("baseline"):
             baseline = api.baseline(session, options.rate)
-    quality = api.assess(recorded, smoothed)
+    quality = api.assess(session, smoothed)
     settle(session.imu, smoothed, baseline)
     return Estimates(session, smoothed, baseline, quality, every=every)
 

@@ -16,9 +16,7 @@ from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, STUCK_AXES, Session
 from smoother.trajectory import (
-    DELAY_CHANGES,
     MIRRORED_AXES,
-    MOTION_UNLIKE,
     STATED,
     UNLIKE_AXES,
     VELOCITY_EARLY,
@@ -140,9 +138,9 @@ def _named_reasons(session: Session, estimate: Trajectory) -> list[str]:
     """What problems name that makes a result wrong by many sigmas which itself looks whole.
 
     Axes that no mounting explains or that show nothing, and a stated mounting that is not that of the session, give
-    such attitudes; a wrong or changing delay, and samples of another motion, such places and speeds.
+    such attitudes; a wrong delay, such places and speeds.
     """
-    in_any_mode = (STATED, DELAY_CHANGES, MOTION_UNLIKE, VELOCITY_EARLY)
+    in_any_mode = (STATED, VELOCITY_EARLY)
     anyway = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in in_any_mode]
     if estimate.report.mode != "full":
         return anyway

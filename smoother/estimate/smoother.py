@@ -10,7 +10,6 @@ inertial sensor cannot be used, or its solution fails, the result is the smoothi
 
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.begin import Begun, begin
-from smoother.estimate.initial.guess import Start, have_samples, on_the_wheel
+from smoother.estimate.initial.guess import Start, have_samples
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.sampled import sampled_spans
@@ -42,7 +41,6 @@ from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import (
-    BOX_ON_WHEEL,
     IMU_SHAKEN,
     MIRRORED_AXES,
     UNLIKE_AXES,
@@ -91,8 +89,6 @@ FAR_AS_STATED = (
 
 
 LONGEST_ARM = 2.5  # m from box to antenna, more than any kart is long
-# rad/s/sqrt(Hz), from which on rates do not show attitudes, nor whether a box turns with the wheel
-MOST_UNSTEADY = 8.0 * DEG
 
 
 @dataclass
@@ -168,12 +164,6 @@ class GraphSmoother:
             solved = solve(session, start, options, watch.say)
         with watch("output"):
             trajectory = _output(session, solved, options)
-        if _turns_with_a_wheel(trajectory, solved):
-            with suppress(*FAILURES):  # then the first one counts
-                with watch("solve"):
-                    steered = solve(session, on_the_wheel(start), options, watch.say)
-                with watch("output"):
-                    trajectory, solved = _output(session, steered, options), steered
         if self.keep is not None:
             self.keep(solved)
         report = _completed_report(given, begun, solved, trajectory)
@@ -232,13 +222,6 @@ def _velocities_early(identified: Mapping[str, Identified]) -> tuple[Problem, ..
         "that filter off in the receiver, or leave speed and course out of the file"
     )
     return (Problem(VELOCITY_EARLY, text),)
-
-
-def _blamed(begun: Begun, noise: Noise) -> tuple[Problem, ...]:
-    """What samples far from the motion are blamed on; a step between clocks that is left makes them so by itself."""
-    if not all(step.is_placed for step in begun.clock.steps):
-        return ()
-    return (*_shaken(begun.session, noise), *_unsteady(begun.session, noise))
 
 
 def _shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
@@ -349,39 +332,28 @@ def _output(session: Session, solved: Solved, options: GraphOptions) -> Trajecto
     )
 
 
-def _turns_with_a_wheel(trajectory: Trajectory, solved: Solved) -> bool:
-    """Whether a box that was taken for one on the frame turns as a steering wheel does, by rates that tell it.
-
-    Vibration that the sampling folds hides a wheel in the samples as they came; attitudes are made of fixes too.
-    """
-    on_wheel = any(problem.code == BOX_ON_WHEEL for problem in trajectory.report.problems)
-    if solved.start.alignment.is_misnamed or solved.found.state.geometry.is_steered:
-        return False
-    return on_wheel and solved.found.known.noise.inertial.gyro < MOST_UNSTEADY
-
-
 def _completed_report(given: Session, begun: Begun, solved: Solved, trajectory: Trajectory) -> EstimateReport:
     """Report of the trajectory, with what was found out before there was one, and what speaks against it."""
     told, start, found = trajectory.report, solved.start, solved.found
     return replace(
         told,
         identified={
-            **begun.clock.on_both_sides(told.identified),
+            **told.identified,
             **field_values(solved.heading, found),
             "accel_delay": identified_delay(begun.delay),
             "imu_clock_drift": begun.clock.identified(),
         },
         left_out=begun.left_out,
-        clock_moves=begun.clock.moves,
         problems=(
             *start.alignment.problems,
             *told.problems,
             *solved.problems,
-            *_blamed(begun, found.known.noise),
+            *_shaken(begun.session, found.known.noise),
+            *_unsteady(begun.session, found.known.noise),
             *_early(told.identified),
             *_velocities_early(told.identified),
             *begun.problems,
-            *begun.clock.problems(given),
+            *begun.clock.problems(float(np.ptp(given.gnss.t))),
         ),
     )
 

@@ -106,8 +106,6 @@ def in_session_time(trajectory: Trajectory, scale: float) -> Trajectory:
     report, joint = trajectory.report, trajectory.joint
     if report.keyframes is not None:
         report = replace(report, keyframes=replace(report.keyframes, t=report.keyframes.t * scale))
-    moves = tuple(replace(move, at=move.at * scale, by=move.by * scale) for move in report.clock_moves)
-    report = replace(report, clock_moves=moves)
     if joint is not None:
         joint = Retimed(joint, partial(np.multiply, 1.0 / scale))
     return replace(trajectory, t=trajectory.t * scale, report=report, joint=joint)

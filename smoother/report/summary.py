@@ -6,13 +6,12 @@ import numpy as np
 
 import smoother
 from smoother.arrays import are_near, median
-from smoother.estimate.preprocess.clock import CLOCK_OFFSET
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import utc_clock
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.laps.results import LapAnalysis
 from smoother.laps.top_speed import speed_sigma, sure_rows, top_speed
-from smoother.samples import IMU_AFTER_FIXES, IMU_BEFORE_FIXES, Problem, Session
+from smoother.samples import Problem, Session
 from smoother.trajectory import EstimateReport, Identified, Trajectory
 from smoother.units import DEG
 
@@ -60,14 +59,8 @@ def summary(
 
 
 def told_problems(session: Session, report: EstimateReport) -> list[Problem]:
-    """Return what the reader and an estimator say, without repetitions: both may have met the same.
-
-    Where the samples' clock showed another time, what the reader says of samples before and after the fixes is of that.
-    """
-    problems = list(dict.fromkeys([*session.problems, *report.problems]))
-    if not any(problem.code == CLOCK_OFFSET for problem in problems):
-        return problems
-    return [problem for problem in problems if problem.code not in (IMU_BEFORE_FIXES, IMU_AFTER_FIXES)]
+    """Return what the reader and an estimator say, without repetitions: both may have met the same."""
+    return list(dict.fromkeys([*session.problems, *report.problems]))
 
 
 def is_told(name: str, found: Identified, mode: str) -> bool:

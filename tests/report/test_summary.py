@@ -10,9 +10,9 @@ from smoother import so3
 from smoother.estimate.quality import Quality
 from smoother.frames import euler_from_rotation
 from smoother.report.files import to_json
-from smoother.report.summary import distance_driven, is_told, mounting_angles, summary, told_problems
+from smoother.report.summary import distance_driven, is_told, mounting_angles, summary
 from smoother.samples import Problem, Session
-from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
+from smoother.trajectory import Identified, Sigmas, Trajectory
 
 COLUMNS = ("position_n", "velocity_n", "R_nb", "acceleration_b", "angular_rate_b")
 
@@ -38,13 +38,6 @@ def test_problems_of_reader_and_estimator_stand_once_each(document: dict[str, ob
         {"code": "row", "text": "1 row dropped", "count": 1},
         {"code": "short", "text": "a short session", "count": 2},
     ]
-
-
-def test_before_and_after_are_not_told_by_a_clock_that_showed_another_time(session: Session) -> None:
-    read = replace(session, problems=(Problem("imu_before_fixes", "30 s before"), Problem("gps_gap", "3 s")))
-    off = EstimateReport(problems=(Problem("clock_offset", "30 s ahead"),))
-    assert [p.code for p in told_problems(read, off)] == ["gps_gap", "clock_offset"]
-    assert [p.code for p in told_problems(read, EstimateReport())] == ["imu_before_fixes", "gps_gap"]
 
 
 def test_identified_values_have_sigma_unit_and_source(document: dict[str, object]) -> None:

@@ -142,14 +142,6 @@ def informed(session: Session, start: Start, options: GraphOptions, found: State
     )
 
 
-def on_the_wheel(start: Start) -> Start:
-    """Return `start` of a box that turns with the steering wheel."""
-    geometry = replace(start.state.geometry, is_steered=True)
-    alignment = replace(start.alignment, problems=without_the_wheels(start.alignment.problems))
-    state, priors = replace(start.state, geometry=geometry), with_short_arm(start.priors)
-    return replace(start, state=state, alignment=alignment, priors=priors)
-
-
 def with_short_arm(priors: Priors) -> Priors:
     """Priors where the box is on the steering wheel: its antenna is in it, and no drive shows how far from the IMU."""
     mean, sigma = priors.constants["lever_arm"]

@@ -54,14 +54,13 @@ class Streams:
     """Stretches from first (B,) to last (B,) s by the clock of the fixes, `spacing` s apart.
 
     By forward force, left force and yaw rate: lag (B, 3) s of the path behind the samples and its sigma, infinite where
-    nothing shows it; likeness (B, 3), the correlation at that lag, NaN where nothing goes on; gain (B, 3).
+    nothing shows it; gain (B, 3).
     """
 
     first: Array
     last: Array
     lag: Array
     sigma: Array
-    likeness: Array
     gain: Array
     spacing: float
 
@@ -170,15 +169,14 @@ def _fitted(measured: Measured, rows: _Rows, rough: Array, spacing: float) -> St
         if np.max(np.abs(fit.move)) < SETTLED:
             break
     variance = rows.sums(rows.centred(rows.path, np.ones_like(rows.path)) ** 2) / np.bincount(rows.stretch)
-    goes_on = variance > LIVELY**2 * np.mean(variance, axis=1, keepdims=True)
-    is_known = goes_on & (fit.gain > LEAST_GAIN) & (np.abs(lag - rough) < BESIDE_ROUGH)
+    is_lively = variance > LIVELY**2 * np.mean(variance, axis=1, keepdims=True)
+    is_known = is_lively & (fit.gain > LEAST_GAIN) & (np.abs(lag - rough) < BESIDE_ROUGH)
     sigma = np.where(is_known, np.hypot(fit.sigma, FLOOR * spacing), np.inf)
     return Streams(
         rows.t[rows.first],
         rows.t[np.append(rows.first[1:], len(rows.t)) - 1],
         lag.T,
         (sigma * _scatter(lag, sigma)[:, None]).T,
-        np.where(goes_on, fit.likeness, np.nan).T,
         fit.gain.T,
         spacing,
     )
@@ -200,12 +198,11 @@ def _scatter(lag: Array, sigma: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """By axis and stretch, (3, B): by how much, s, the lag is to be moved, its sigma, gain, and likeness."""
+    """By axis and stretch, (3, B): by how much, s, the lag is to be moved, its sigma, and gain."""
 
     move: Array
     sigma: Array
     gain: Array
-    likeness: Array
 
     @classmethod
     def of(cls, rows: _Rows, here: Array) -> "_Fit":
@@ -217,9 +214,7 @@ class _Fit:
         weight, all_of = np.ones_like(here), rows.stretch
         for _ in range(REWEIGHTED):
             y, x, d = (rows.centred(values, weight) for values in (here, rows.path, rows.change))
-            xx, xd, dd, xy, dy, yy = (
-                rows.sums(weight * a * b) for a, b in ((x, x), (x, d), (d, d), (x, y), (d, y), (y, y))
-            )
+            xx, xd, dd, xy, dy = (rows.sums(weight * a * b) for a, b in ((x, x), (x, d), (d, d), (x, y), (d, y)))
             determinant = np.maximum(xx * dd - xd**2, TINY)
             gain, slope = (dd * xy - xd * dy) / determinant, (xx * dy - xd * xy) / determinant
             rest = y - gain[:, all_of] * x - slope[:, all_of] * d
@@ -232,4 +227,4 @@ class _Fit:
         noise = np.sum(scores**2, axis=1) / np.maximum(np.sum(information, axis=1), TINY)
         sigma = np.sqrt(noise[:, None] / np.maximum(information, TINY))
         move = np.where(np.abs(gain) > LEAST_GAIN, slope / np.where(gain == 0.0, 1.0, gain), 0.0)
-        return cls(move, sigma, gain, xy / np.sqrt(np.maximum(xx * yy, TINY)))
+        return cls(move, sigma, gain)
