@@ -121,9 +121,9 @@ def all_told(
 
     def find_flaw(found: Recording) -> str:
         a = found.account
-        is_told = abs(a.missing - a.told - a.strange) <= slack and a.untold <= slack + a.strange and a.disorder == 0
+        is_reported = abs(a.missing - a.told - a.strange) <= slack and a.untold <= slack + a.strange and a.disorder == 0
         is_within = lost[0] <= a.told <= lost[1] and a.strange <= strange
-        return "" if is_told and is_within and _reaches(found, start_s, end_s) else str(a)
+        return "" if is_reported and is_within and _reaches(found, start_s, end_s) else str(a)
 
     text = f"samples from {start_s:g} to {end_s:g} s are kept, or counted in a GAP at its time ({lost[0]} to {lost[1]})"
     return of_one(text, find_flaw, index)

@@ -86,13 +86,13 @@ def ladder(folder: Path, image: Path) -> bool:
     gaps = np.array([gap.first_us - late for gap in recording.records.gaps if gap.source == IMU])
     costs = np.array([((gaps >= t) & (gaps < t + LADDER_EVERY_US)).any() for t in begins])
     free, costly = LADDER_US[~costs] / 1e3, LADDER_US[costs] / 1e3
-    is_told = recording.account.untold == 0 and recording.account.missing == recording.account.told
+    is_reported = recording.account.untold == 0 and recording.account.missing == recording.account.told
     print(
         f"{len(costs)} stalls of {LADDER_US[0] / 1e3:.0f} to {LADDER_US[-1] / 1e3:.0f} ms: the shortest that cost a"
         f" sample {costly.min(initial=np.inf):.0f} ms, the longest that cost none {free.max(initial=0):.0f} ms;"
-        f" {recording.account.missing} samples lost, {'all' if is_told else 'NOT all'} told of"
+        f" {recording.account.missing} samples lost, {'all' if is_reported else 'NOT all'} told of"
     )
-    return is_told and bool(costly.min(initial=np.inf) > STORM["stall_us"] / 1e3)
+    return is_reported and bool(costly.min(initial=np.inf) > STORM["stall_us"] / 1e3)
 
 
 def main() -> int:

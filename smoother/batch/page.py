@@ -16,8 +16,7 @@ from xml.etree.ElementTree import Element
 from smoother.batch.entries import Best, Entry, Track, report_of
 from smoother.batch.task import ERROR_LOG, REPORT, is_there
 from smoother.laps.clock import local_day
-from smoother.report.page_html import Child, element, parted, row, table, whole_page
-from smoother.report.page_words import DASH, lap_clock, number
+from smoother.report.page_html import DASH, Child, element, lap_clock, number, parted, row, table, whole_page
 from smoother.units import KMH
 from smoother.words import counted, duration
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from smoother.cli.output import number, say, say_pairs
-from smoother.laps.clock import lap_clock, local_time, local_zone, luck_said, spread_said
+from smoother.laps.clock import chance_text, lap_clock, local_time, local_zone, spread_text
 from smoother.units import KMH, MPH
 from smoother.words import SLOWER_WHERE, counted, loss_digits
 
@@ -162,7 +162,7 @@ def _theoretical(said: dict[str, Any]) -> str:
         return ""
     text = f"{lap_clock(said['theoretical_s'])} ± {number(said['theoretical_sigma_s'], 3)}"
     if said["theoretical_s"] - said["theoretical_raw_s"] > 0.0005:
-        return f"{text} ({luck_said(said['theoretical_s'], said['theoretical_raw_s'], said['best_s'])})"
+        return f"{text} ({chance_text(said['theoretical_s'], said['theoretical_raw_s'], said['best_s'])})"
     return (
         f"{text} (the best lap has all the best sectors)" if said["theoretical_s"] > said["best_s"] - 0.0005 else text
     )
@@ -188,7 +188,7 @@ def _consistency(said: dict[str, Any]) -> str:
     if count == 1:
         return "1 lap counts; there is no other to compare it with"
     text = f"{counted(count, 'lap')} count, {said['within_tenth'] - 1 or 'none'} of the others within 0.1 s of the best"
-    spread = spread_said(said["spread_s"], "")
+    spread = spread_text(said["spread_s"], "")
     return f"{text}, spread {spread}" if spread else text
 
 

@@ -40,7 +40,7 @@ def show_result(result: Result, path: Path | None = None) -> None:
 
     path: what the session was named by, above its rows where several are shown.
     """
-    from smoother.report.summary import is_told
+    from smoother.report.summary import is_reported
 
     document: Any = result.document
     about = document["session"]
@@ -49,7 +49,7 @@ def show_result(result: Result, path: Path | None = None) -> None:
         pairs.append(("uncertainty", _sigma(document["sigma_median"])))
     pairs += _calibrated(document["calibration"])
     for name, identified in document["identified"].items():
-        if name in _ONLY_ON_THE_PAGE or not is_told(name, identified, document["mode"]):
+        if name in _ONLY_ON_THE_PAGE or not is_reported(name, identified, document["mode"]):
             continue
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     problems: list[Problem] = document["problems"]

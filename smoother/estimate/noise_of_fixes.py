@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.fixes.offset import BIN, TIMES, OffsetModel, is_told
+from smoother.estimate.fixes.offset import BIN, TIMES, OffsetModel, is_reported
 from smoother.estimate.fixes.path import GnssPath
 from smoother.fit.lap_registration import LapRegistration
 from smoother.fit.noise_spread import ANY_NOISE
@@ -60,7 +60,7 @@ def unseen_wander(t: Array, path: GnssPath, tau: float) -> float:
 
     However long they go on: what may be chance in a short session is not in it.
     """
-    if not is_told(t, path):
+    if not is_reported(t, path):
         return math.inf
     interval = float(t[-1] - t[0]) / len(t)
     return float(hidden_wander(path.position_sigma, path.velocity_sigma, interval, math.inf, tau)[0])

@@ -25,7 +25,7 @@ class PathMotion:
     t: Array
     velocity_n: Array
     is_measured: bool = True
-    is_told: BoolArray | None = None
+    is_reported: BoolArray | None = None
 
     @property
     def speed(self) -> Array:
@@ -35,7 +35,7 @@ class PathMotion:
     @property
     def moves(self) -> BoolArray:
         """Mask (N,) of the fixes at which the kart has a course."""
-        return np.asarray((self.speed > MIN_SPEED) & (True if self.is_told is None else self.is_told))
+        return np.asarray((self.speed > MIN_SPEED) & (True if self.is_reported is None else self.is_reported))
 
     @property
     def yaw(self) -> Array:

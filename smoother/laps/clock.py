@@ -17,7 +17,7 @@ def lap_clock(seconds: float | None, digits: int = 3, unknown: str = "-") -> str
     return f"{whole}:{rest:0{digits + 3}.{digits}f}"
 
 
-def spread_said(spread: float | None, unknown: str = "-") -> str:
+def spread_text(spread: float | None, unknown: str = "-") -> str:
     """Return how far lap times are spread, 0.123 s; in words where the timing is no surer than that."""
     if spread is None or not math.isfinite(spread):
         return unknown
@@ -26,7 +26,7 @@ def spread_said(spread: float | None, unknown: str = "-") -> str:
     return f"{spread:.3f} s" if spread >= 0.0005 else "below 0.001 s"
 
 
-def luck_said(theoretical: float, raw: float, best: float) -> str:
+def chance_text(theoretical: float, raw: float, best: float) -> str:
     """Return what the best sectors add up to (raw, s), and how much of it is luck; `best`: the best lap's time."""
     added = f"best sectors add up to {lap_clock(raw)}"
     if theoretical > best - 0.0005:

@@ -25,7 +25,7 @@ LETTERS = "xyz"
 
 
 def draw(function: Callable[..., Figure], **data: Any) -> Figure:
-    """Return what a function of this module draws, in the style of all figures."""
+    """Return the figure that a function of this module draws, in the common style."""
     with matplotlib.rc_context(style.STYLE):
         figure = function(**data)
         figure.canvas.draw()  # fonts and layout are settled while the style holds
@@ -62,7 +62,7 @@ def ellipsoid(readings: Array, fit: Ellipsoid) -> Figure:
 
 
 def _spread_out(readings: Array) -> IntArray:
-    """Indices of at most MOST_POINTS readings, one per place: those at rest must not hide where the box was turned."""
+    """Indices of at most MOST_POINTS readings, one per place: readings at rest must not dominate."""
     low, high = np.percentile(readings, [1.0, 99.0], axis=0)
     cell = np.round((readings - low) / max(float(np.max(high - low)), 1e-300) * 60.0)
     _, first = np.unique(cell, axis=0, return_index=True)
@@ -122,7 +122,7 @@ def positions(force: Array, fit: AccelFit) -> Figure:
 
 
 def alignment(t: Array, before: Array, after: Array, gravity: float) -> Figure:
-    """Accelerations (N, 3) at rest at t (N,) s, in the box's axes and turned north, west and up."""
+    """Accelerations (N, 3) at rest at t (N,) s, in sensor axes and rotated to north, west and up."""
     figure = style.new_figure("Level and heading: accelerations at rest before and after rotation", 12.0, 6.0)
     panels = figure.subplots(1, 2, sharey=True)
     for axes, values, names, title in (
@@ -137,14 +137,14 @@ def alignment(t: Array, before: Array, after: Array, gravity: float) -> Figure:
         axes.set_xlabel("time (s)")
         style.outside_legend(axes)
     panels[0].set_ylabel("specific force (m/s²)")
-    margin = 0.2 * gravity  # the hand before and after the rest must not shrink the picture
+    margin = 0.2 * gravity  # movements before and after the rest must not shrink the picture
     low = min(0.0, float(np.min(np.median(before, axis=0))), float(np.min(np.median(after, axis=0))))
     panels[0].set_ylim(low - margin, gravity + margin)
     return figure
 
 
 def allan(curves: Mapping[str, AllanDeviation], figures: Mapping[str, NoiseFigures]) -> Figure:
-    """Allan deviation of each sensor with error bars, and what those of the fitted figures mean that were seen."""
+    """Allan deviation of each sensor with error bars, and that of the identified noise parameters."""
     figure = style.new_figure("Noise at rest: Allan deviation (points) and the noise seen in it (lines)", 12.0, 6.2)
     for axes, (name, curve) in zip(figure.subplots(1, 2), curves.items(), strict=True):
         factor, unit = (1.0 / DEG, "deg/s") if name == "gyroscope" else (1.0, "m/s²")
@@ -201,7 +201,7 @@ def _line(axes: Axes, line: EngineLine, rate: float) -> None:
 
 
 def temperature(temperature: Array, means: Array, fit: TemperatureFit) -> Figure:
-    """Mean rates (B, 3) at rest over temperature (B,) deg C, with the fitted line, and what is left."""
+    """Mean rates (B, 3) at rest over temperature (B,) deg C, with the fitted line, and the residuals."""
     figure = style.new_figure("Gyroscope: bias and temperature", 12.0, 5.2)
     panels = figure.subplots(1, 2)
     ends = np.array(fit.span)

@@ -1,6 +1,6 @@
-"""calibration.html: every number with its sigma and the figures, in the look of report.html and as self-contained.
+"""calibration.html: every number with its sigma and the figures, in the style of report.html and self-contained.
 
-Writes; computes nothing.
+Nothing is computed here.
 """
 
 import base64
@@ -27,9 +27,9 @@ class Section:
 
 def write_page(path: Path, title: str, sections: Sequence[Section], refusals: Sequence[tuple[str, str]]) -> None:
     """Write the page; refusals are (procedure, reason). What comes from files is text."""
-    said = element("p", "Each number has one standard deviation (sigma).")
+    note = element("p", "Each number has one standard deviation (sigma).")
     body = [
-        element("header", element("div", element("h1", title), said), element("div", theme(), class_="settings")),
+        element("header", element("div", element("h1", title), note), element("div", theme(), class_="settings")),
         element("main", *(part for section in sections for part in _section(section)), *_refused(refusals)),
     ]
     with replacing(path) as temporary:

@@ -5,13 +5,13 @@ import numpy as np
 from smoother.arrays import Array, median
 from smoother.samples import Channel
 
-LONGEST = 2.5  # usual steps between two values, beyond which nothing is known between them
-SLOWEST = 1.5  # s; of a channel that comes this rarely, so many seconds are bridged
-FEW_VALUES = 12  # different ones: a gear, a switch, which has nothing between two values
+LONGEST = 2.5  # usual steps between two values, beyond which there is a gap
+SLOWEST = 1.5  # s; shorter intervals are no gap in any channel
+FEW_VALUES = 12  # distinct values of a gear or a switch, which is not interpolated
 
 
 def channel_at(channel: Channel, t: Array) -> Array:
-    """Values (M,) at times t (M,) s: between neighbours, of a gear or a switch the last one; NaN in holes."""
+    """Values (M,) at times t (M,) s: between neighbours, of a gear or a switch the last one; NaN in gaps."""
     if len(channel.t) < 2:
         return np.full(t.shape, np.nan)
     steps = np.diff(channel.t)

@@ -34,9 +34,8 @@ from smoother.report.page_data import (
     palette,
     stretches,
 )
-from smoother.report.page_html import Child, element, parted, row, table
+from smoother.report.page_html import DASH, Child, element, lap_clock, number, parted, row, table
 from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell, usual_cell
-from smoother.report.page_words import DASH, lap_clock, number
 from smoother.words import counted
 
 MOST_LAPS = 6  # drawn of a session
@@ -63,12 +62,12 @@ class Compared:
     @property
     def statistics(self) -> Statistics | None:
         """Figures of the laps that count, None where none does."""
-        said = self.analysis.statistics
-        return said if said is not None and said.best_lap is not None else None
+        statistics = self.analysis.statistics
+        return statistics if statistics is not None and statistics.best_lap is not None else None
 
     @property
     def why_not(self) -> str:
-        """Why it has no best lap; empty where it has one."""
+        """Why the session has no best lap; empty where it has one."""
         if self.statistics is not None:
             return ""
         if any(lap.is_timed for lap in self.analysis.laps):
@@ -199,68 +198,68 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
     lost = losses(compared)
     rows = [_best_row(one, sectors, least, lost[k]) for k, one in enumerate(compared)]
-    sure = f"at least {number(lost[0].sure, 1)} times its ±"
+    threshold = f"at least {number(lost[0].threshold, 1)} times its ±"
     note = "Laps: number of laps that count. Lost: time lost to the best of all, with a star where it is real, that is "
-    note += f"{sure}. Top speed: that of the best lap."
+    note += f"{threshold}. Top speed: that of the best lap."
     if any(one.statistics is not None and one.analysis.sigma_source == "stored" for one in compared):
         note += " The line was given after smoothing, so each ± is typical of its session and not of the single lap."
-    told = table(heads, rows, class_="tight")
+    best_laps = table(heads, rows, class_="tight")
     without = [element("p", f"{one.name}: {one.why_not}", class_="soft") for one in compared if one.why_not]
-    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told, *without]
+    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), best_laps, *without]
 
 
 @dataclass(frozen=True)
 class Loss:
-    """What the best lap of a session lost over the whole lap, s, with its sigma; NaN unknown or compared with itself.
-    is_real: from `sure` sigmas on."""
+    """Time lost by the best lap of a session over the whole lap, s, with its sigma; NaN unknown, or the lap itself.
+    is_real: beyond `threshold` sigmas."""
 
     lost: float
     sigma: float
     is_real: bool
-    sure: float
+    threshold: float
 
 
 def losses(compared: Sequence[Compared]) -> list[Loss]:
-    """Return what the best lap of each session lost to the lap that all are compared with."""
+    """Return the time that the best lap of each session lost to the reference lap."""
     lost, sigma = np.array([_whole_lap(one) for one in compared]).T
-    sure = sure_from(lost, sigma)
-    real = are_real(lost, sigma, sure)
-    return [Loss(float(a), float(b), bool(c), sure) for a, b, c in zip(lost, sigma, real, strict=True)]
+    threshold = sure_from(lost, sigma)
+    real = are_real(lost, sigma, threshold)
+    return [Loss(float(a), float(b), bool(c), threshold) for a, b, c in zip(lost, sigma, real, strict=True)]
 
 
 def _whole_lap(one: Compared) -> tuple[float, float]:
-    said, traces = one.statistics, one.analysis.traces
-    if said is None or traces is None or said.best_lap is None or said.best_lap == one.reference:
+    statistics, traces = one.statistics, one.analysis.traces
+    if statistics is None or traces is None or statistics.best_lap is None or statistics.best_lap == one.reference:
         return np.nan, np.nan
-    return float(traces.delta[said.best_lap, -1]), float(traces.delta_sigma[said.best_lap, -1])
+    return float(traces.delta[statistics.best_lap, -1]), float(traces.delta_sigma[statistics.best_lap, -1])
 
 
 def _best_row(one: Compared, sectors: int, least: float, lost: Loss) -> Element:
-    said, start = one.statistics, one.start
+    statistics, start = one.statistics, one.start
     name = element("span", *parted(one.name))
     started = DASH if start is None else local_day(start, with_zone=False)
-    if said is None or said.best_lap is None:
+    if statistics is None or statistics.best_lap is None:
         return row(name, started, "0", *[DASH] * (sectors + 5), class_="out")
-    lap = one.analysis.laps[said.best_lap]
+    lap = one.analysis.laps[statistics.best_lap]
     times: list[Child] = [time_cell(float(t), float(s)) for t, s in zip(lap.sector_time, lap.sector_sigma, strict=True)]
     times += [DASH] * (sectors - len(times))
     known: list[Child] = [
-        lap_clock(said.theoretical),
-        "in noise" if said.spread == 0.0 else number(said.spread, 3),
+        lap_clock(statistics.theoretical),
+        "in noise" if statistics.spread == 0.0 else number(statistics.spread, 3),
         speed_cell(lap.top_speed),
     ]
     first: list[Child] = [
         name,
         started,
-        str(said.counted),
-        time_cell(said.best, said.best_sigma),
+        str(statistics.counted),
+        time_cell(statistics.best, statistics.best_sigma),
         _lost(lost),
     ]
-    return row(*first, *times, *known, class_="best" if said.best == least else "")
+    return row(*first, *times, *known, class_="best" if statistics.best == least else "")
 
 
 def _lost(loss: Loss) -> Element:
-    """A cell with what a whole lap lost to the lap that all are compared with."""
+    """A cell with the time that a whole lap lost to the reference lap."""
     if not np.isfinite(loss.lost):
         return element("td", DASH)
     small = element("small", f" ± {number(loss.sigma, 3)}" if np.isfinite(loss.sigma) else "")
@@ -282,9 +281,9 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
     heads = ["", *(corner_name(corner) for corner in corners)]
     lost, usual, slowest = [], [], []
     for one in with_laps:
-        said, mine = one.statistics, one.analysis.corners
-        assert said is not None and said.best_lap is not None
-        best = said.best_lap
+        statistics, mine = one.statistics, one.analysis.corners
+        assert statistics is not None and statistics.best_lap is not None
+        best = statistics.best_lap
         lap = f" lap {one.analysis.laps[best].number}"
         lost.append(row(_named(one, lap), *(_lost_in(one, corner, best) for corner in mine)))
         counting = [i for i, lap in enumerate(one.analysis.laps) if lap.is_valid and i != one.reference]

@@ -1,7 +1,7 @@
 """The figures of a smoothed session: each function draws one matplotlib Figure, `save_figures` writes them all.
 
-Draws what it is given and computes nothing but axis limits. Maps are north up, axes in metres; limits follow the
-smoothed trajectory, so that a stray fix or a baseline that ran away does not shrink the picture.
+Only axis limits are computed here. Maps are north up, axes in metres; limits follow the smoothed trajectory, so that
+outliers of the fixes or a diverged baseline do not shrink the picture.
 """
 
 import warnings
@@ -32,7 +32,7 @@ CORNER_TIME = 4.0  # s that a close-up of a corner covers
 PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
 CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
 SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
-STANDING = 2.0  # m/s, below which a kart is not being driven
+LEAST_SPEED = 2.0  # m/s; slower rows are not searched for a corner
 TYPICAL_OVER = 1.0  # s, over which a sigma that swings between keyframes is shown as one
 LITTLE_BEYOND = 1.5  # times a limit, up to which it rather widens than cuts
 WIDEST_BAND = 15.0  # deg, one sigma; beyond it a band of attitudes does not widen its axes
@@ -44,7 +44,7 @@ MANY_FIXES = 5000  # beyond it their dots are drawn smaller
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What the figures show; `heading` is the line above each of them."""
+    """Data of the figures; `heading` is the line above each of them."""
 
     session: Session
     smoothed: Trajectory
@@ -63,12 +63,12 @@ class Shown:
 
     @property
     def has_attitude(self) -> bool:
-        """False for a session that only GPS could be used of."""
+        """False for a session without usable samples."""
         return bool(np.isfinite(self.smoothed.R_nb).any())
 
 
 def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | None = None) -> list[Path]:
-    """Write every figure the session has something for as PNG; return their paths, the main one first.
+    """Write every figure that the session has data for as PNG; return their paths, the main one first.
 
     `done` gets the share (0..1) that is finished. Figures of an earlier run that no longer apply are removed.
     """
@@ -84,7 +84,7 @@ def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | 
                 continue
             with replacing(path) as temporary:
                 style.save(figure, temporary)
-            figure.clear()  # what it shows would else stay until all figures are drawn
+            figure.clear()  # frees its memory
             written.append(path)
             if done is not None:
                 done((i + 1) / len(FIGURES))
@@ -177,7 +177,7 @@ def _with_band(shown: Shown, i: int) -> Array:
 
 
 def _off_the_scale(shown: Shown, limits: list[Limits]) -> str:
-    """What the legend of attitudes calls the baseline, which may leave the limits of the smoother by far."""
+    """Name of the baseline in the legend of attitudes, which says so where it leaves the limits."""
     if shown.baseline is None:
         return ""
     angles = shown.baseline.euler / DEG
@@ -275,7 +275,7 @@ def sigma(shown: Shown) -> Figure | None:
     horizontal = np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])
 
     def typical(values: Array) -> Array:
-        """A keyframe is surer than what lies between two, five times a second: lines would look like a band."""
+        """Running median of a sigma, which oscillates between keyframes."""
         return style.running_median(shown.smoothed.t, values, seconds=TYPICAL_OVER)
 
     groups = {
@@ -393,13 +393,13 @@ def _draw_close_up(axes: Axes, whole: Axes, shown: Shown) -> None:
 
 
 def _holding(limits: Limits, low: float, high: float) -> Limits:
-    """The limits, wide enough for a frame with some paper around it."""
+    """The limits, extended to contain a frame with a margin."""
     space = 0.02 * (limits[1] - limits[0])
     return min(limits[0], low - space), max(limits[1], high + space)
 
 
 def _tightest(trajectory: Trajectory) -> int:
-    """Row where the path turns fastest while it is driven, else the middle one."""
+    """Row of the largest turn rate of the path at speed, else the middle one."""
     velocity = trajectory.velocity_n[:, :2]
     duration = max(float(trajectory.t[-1] - trajectory.t[0]), 0.1)
     step = max(1, round(0.5 * len(trajectory) / duration))  # half a second
@@ -408,7 +408,9 @@ def _tightest(trajectory: Trajectory) -> int:
     before, here, after = velocity[: -2 * step], velocity[step:-step], velocity[2 * step :]
     course_change = np.abs(np.arctan2(*_turn(before, after)))
     speed = np.hypot(here[:, 0], here[:, 1])
-    driven = speed > SLOWEST_CORNER * np.median(speed[speed > STANDING]) if np.any(speed > STANDING) else speed < 0.0
+    driven = (
+        speed > SLOWEST_CORNER * np.median(speed[speed > LEAST_SPEED]) if np.any(speed > LEAST_SPEED) else speed < 0.0
+    )
     turning = np.where(driven & np.isfinite(course_change), course_change, 0.0)
     return step + int(np.argmax(turning))
 
@@ -419,7 +421,7 @@ def _turn(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _limit_of_most(values: Array) -> float:
-    """Symmetric axis limit that leaves out the highest spikes only, and no such as lie little beyond."""
+    """Symmetric axis limit that leaves out isolated high spikes."""
     known = np.abs(values[np.isfinite(values)])
     if not known.size:
         return 1.0
@@ -433,7 +435,7 @@ def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = Non
     fixes = shown.session.gnss
     here = slice(*np.searchsorted(fixes.t, window))
     raw = np.hypot(fixes.velocity_n[here, 0], fixes.velocity_n[here, 1])
-    if np.isfinite(raw).any():  # else the legend would name what is nowhere seen
+    if np.isfinite(raw).any():  # else the legend would name an empty line
         size = 2.5 if len(raw) < MANY_FIXES else 1.0
         axes.plot(fixes.t[here] - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
     if shown.baseline is not None:
@@ -472,7 +474,7 @@ def _line(
     t, thin = style.thinned(trajectory.t[rows] - shown.start, values[rows], points=points)
     if wraps:
         broken = style.broken_at_wraps(thin)
-        if np.count_nonzero(np.isnan(broken)) > MOSTLY * len(thin):  # whole turns within a pixel, and no line left
+        if np.count_nonzero(np.isnan(broken)) > MOSTLY * len(thin):  # whole turns within a pixel
             some = slice(None, None, max(1, len(values[rows]) // (DOTS * points)))
             t, thin, line = trajectory.t[rows][some] - shown.start, values[rows][some], ","
         else:

@@ -1,8 +1,8 @@
-"""The files a smoothed session leaves behind: trajectory.csv, baseline.csv, gps.csv and strict JSON.
+"""The result files of a session: trajectory.csv, baseline.csv, gps.csv and strict JSON.
 
-Every file is written under a temporary name and renamed, so that a reader never meets half of one. Numbers are rounded
+Every file is written under a temporary name and renamed, so that no partial file is visible. Numbers are rounded
 to a resolution well below any sensor's (1e-9 deg, 0.1 mm, 0.1 mm/s, 1e-4 deg), which halves the files.
-Refuses to compute anything: what is not in the trajectory or in the session is written as NaN.
+Nothing is computed here: values missing in trajectory and session are written as NaN.
 """
 
 import json
@@ -44,7 +44,7 @@ def write_trajectory(
 ) -> None:
     """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`; large ones in parts.
 
-    channels : what was logged beside the motion, a column each behind those.
+    channels : further logged quantities, one column each after the others.
     """
     with replacing(path) as temporary, temporary.open("wb") as file:
         for part in [*pieces(len(trajectory), TOGETHER)] or [slice(0)]:
@@ -111,8 +111,8 @@ def _at_height(position_n: Array) -> Array:
 def fixes_table(session: Session, residuals: FixResiduals | None) -> pl.DataFrame:
     """Return one row per fix in the frame of the trajectory. Residual: prediction - measurement; weight 0..1.
 
-    The prediction contains what the smoother found out about the receiver (delay, lever arm, slow offset). Both are NaN
-    for a fix it had no use for.
+    The prediction contains the identified constants of the receiver (latency, lever arm, slow error). Both are NaN
+    for a fix that was not used.
     """
     fixes, n = session.gnss, len(session.gnss)
     residual_n, weight = np.full((n, 3), np.nan), np.full(n, np.nan)
@@ -155,7 +155,7 @@ def _rounded(value: Array, digits: int) -> Array:
 
 
 def _utc(t: Array, clock: UtcClock | None) -> pl.Series:
-    """ISO 8601 to the millisecond, empty where the receiver never told the time."""
+    """ISO 8601 to the millisecond, empty where the receiver gave no time."""
     if clock is None:
         return pl.Series("utc", [None] * len(t), dtype=pl.String)
     milliseconds = np.round(clock.at(t) * 1e3).astype(np.int64)

@@ -1,8 +1,8 @@
-"""report.html: one file with everything about a session, for a browser without a network, and for paper.
+"""report.html: one file about a session, for a browser without a network, and for print.
 
-Its charts are drawn by a small script of ours as SVG. A plotting library was measured first: Bokeh with inline
-resources costs 2.7 s of CPU (import and serialising nine figures) and 2.1 MB, as much as smoothing ten minutes, and
-its canvases follow neither theme nor paper by style sheet.
+A small script draws the charts as SVG. For comparison, Bokeh with inline resources costs 2.7 s of CPU (import and
+serialising nine figures) and 2.1 MB, as much as smoothing ten minutes, and its canvases follow neither theme nor print
+by style sheet.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from smoother.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What the page is made of. baseline, laps: None where there are none."""
+    """Data of the page. baseline, laps: None where there are none."""
 
     session: Session
     smoothed: Trajectory
@@ -41,20 +41,22 @@ def write_page(path: Path, report: Report) -> None:
 
 def page(report: Report) -> str:
     """Return the page as text."""
-    told = words.Told(
+    content = words.PageContent(
         report.session, report.smoothed, report.baseline, report.laps, report.quality, recorded_check(report.session)
     )
     numbers = page_data(Numbers(report.session, report.smoothed, report.baseline, report.laps))
     body = [
-        words.header(told),
-        _contents(told),
-        element("main", words.summary(told), *words.lap_section(told), *_charts(told, numbers), *_quality(told)),
+        words.header(content),
+        _contents(content),
+        element(
+            "main", words.summary(content), *words.lap_section(content), *_charts(content, numbers), *_quality(content)
+        ),
     ]
-    return styled(told.title, body, numbers)
+    return styled(content.title, body, numbers)
 
 
 def recorded_check(session: Session) -> Check:
-    """Return what the sensors delivered, judged from the calibrated samples."""
+    """Return the check of the recording, from the calibrated samples."""
     imu, mag = session.imu, session.mag
     raw_imu = None
     if imu is not None:
@@ -67,29 +69,32 @@ def recorded_check(session: Session) -> Check:
     return check(RawSession(session.name, session.gnss, raw_imu, raw_mag, inputs=session.inputs, problems=why))
 
 
-def _contents(told: words.Told) -> Element:
+def _contents(content: words.PageContent) -> Element:
     places = [("laps", "Laps"), ("driving", "Map and traces"), ("corners", "Corners"), ("circle-title", "Grip")]
-    places += [("compared", _compared_title(told)), ("quality", "Can I trust this?")]
-    has_laps, has_corners = told.laps is not None and told.laps.laps, told.laps is not None and told.laps.corners
+    places += [("compared", _comparison_title(content)), ("quality", "Can I trust this?")]
+    has_laps, has_corners = (
+        content.laps is not None and content.laps.laps,
+        content.laps is not None and content.laps.corners,
+    )
     hidden = {*(() if has_laps else ("laps",)), *(() if has_corners else ("corners",))}
     links = [element("a", name, href=f"#{place}") for place, name in places if place not in hidden]
     return element("nav", *links, aria_label="Contents")
 
 
-def _charts(told: words.Told, numbers: Document) -> list[Element]:
-    title = "Map and traces" if told.laps is not None and told.laps.traces is not None else "The session"
-    drawn = "Fixes, baseline and smoother" if told.baseline is not None else "Fixes and smoother"
+def _charts(content: words.PageContent, numbers: Document) -> list[Element]:
+    title = "Map and traces" if content.laps is not None and content.laps.traces is not None else "The session"
+    drawn = "Fixes, baseline and smoother" if content.baseline is not None else "Fixes and smoother"
     return [
         element("h2", title, id="driving"),
-        *_left_out(told),
-        _picker(told),
+        *_hidden_laps_note(content),
+        _picker(content),
         linked(numbers),
-        *words.corner_section(told),
+        *words.corner_section(content),
         element("h2", "Grip: accelerations forward and sideways", id="circle-title"),
-        grip(_circle_words(told)),
-        element("h2", _compared_title(told), id="compared"),
-        element("p", _compared_words(told), class_="soft"),
-        *words.baseline_section(told),
+        grip(_grip_caption(content)),
+        element("h2", _comparison_title(content), id="compared"),
+        element("p", _comparison_caption(content), class_="soft"),
+        *words.baseline_section(content),
         element(
             "div",
             figure("compared-map", drawn),
@@ -99,24 +104,24 @@ def _charts(told: words.Told, numbers: Document) -> list[Element]:
     ]
 
 
-def _picker(told: words.Told) -> Element:
-    laps = told.laps
+def _picker(content: words.PageContent) -> Element:
+    laps = content.laps
     if laps is None or laps.traces is None:
         return picker(["whole session"], [], "Shown")
     return picker([lap_name(laps.laps[i]) for i in drawn_laps(laps)], stretches(laps))
 
 
-def _left_out(told: words.Told) -> list[Element]:
-    """What to know where not all laps can be drawn."""
-    laps = told.laps
+def _hidden_laps_note(content: words.PageContent) -> list[Element]:
+    """A note where not all laps are drawn."""
+    laps = content.laps
     if laps is None or laps.traces is None or len(laps.laps) <= MOST_DRAWN:
         return []
     text = f"Of {len(laps.laps)} laps the {len(drawn_laps(laps))} quickest are shown here and below; laps.csv has all."
     return [element("p", text, class_="soft")]
 
 
-def _circle_words(told: words.Told) -> str:
-    is_of_fixes = told.smoothed.report.mode == "gps-only"
+def _grip_caption(content: words.PageContent) -> str:
+    is_of_fixes = content.smoothed.report.mode == "gps-only"
     source = "the smoothed GPS speed" if is_of_fixes else "the motion sensor, gravity removed"
     return (
         "Each dot is the acceleration at one time: upwards accelerating, downwards braking, left and right cornering "
@@ -125,23 +130,23 @@ def _circle_words(told: words.Told) -> str:
     )
 
 
-def _compared_title(told: words.Told) -> str:
-    return "Baseline against smoother" if told.baseline is not None else "GPS fixes against smoother"
+def _comparison_title(content: words.PageContent) -> str:
+    return "Baseline against smoother" if content.baseline is not None else "GPS fixes against smoother"
 
 
-def _compared_words(told: words.Told) -> str:
-    which = "the best lap" if told.statistics is not None else "a minute around the top speed"
-    baseline = "dashed: the baseline, an older method; " if told.baseline is not None else ""
+def _comparison_caption(content: words.PageContent) -> str:
+    which = "the best lap" if content.statistics is not None else "a minute around the top speed"
+    baseline = "dashed: the baseline, an older method; " if content.baseline is not None else ""
     shown = f"Map and curves show {which}, the table the whole session. Dots on the map: GPS fixes as received; "
     return f"{shown}{baseline}solid: the smoother."
 
 
-def _quality(told: words.Told) -> list[Element]:
-    tables = [page_trust.recording_table(told), page_trust.residual_table(told)]
+def _quality(content: words.PageContent) -> list[Element]:
+    tables = [page_trust.recording_table(content), page_trust.residual_table(content)]
     return [
         element("h2", "Can I trust this?", id="quality"),
-        *page_trust.trust(told),
+        *page_trust.trust(content),
         figure("quality-time", "Sigma, residuals and gaps over time"),
         element("div", *tables, class_="pair"),
-        page_trust.identified_table(told),
+        page_trust.identified_table(content),
     ]

@@ -1,4 +1,4 @@
-"""What pages with charts are put together from: the places for charts, what picks laps and parts, style and script."""
+"""Elements of pages with charts: placeholders of charts, selection of laps and parts, style and script."""
 
 from collections.abc import Sequence
 from importlib.resources import files
@@ -13,12 +13,12 @@ Part = tuple[str, tuple[float, float]]  # of the track: name, and ends in m
 
 def styled(title: str, body: Sequence[Element], numbers: Document) -> str:
     """Return the page with the one style and script of all pages; body begins with the header."""
-    told = element("noscript", element("p", "The charts need JavaScript; the tables do not.", class_="bad"))
-    return whole_page(title, [body[0], told, *body[1:]], _text("page.css"), _text("theme.js", "page.js"), numbers)
+    note = element("noscript", element("p", "The charts need JavaScript; the tables do not.", class_="bad"))
+    return whole_page(title, [body[0], note, *body[1:]], _text("page.css"), _text("theme.js", "page.js"), numbers)
 
 
 def styled_alike(title: str, body: Sequence[Element]) -> str:
-    """Return a page of tables and pictures that looks like the pages with charts, and follows their theme."""
+    """Return a page of tables and pictures with the style and theme of the pages with charts."""
     return whole_page(title, body, _text("page.css"), _text("theme.js"), has_pictures=True)
 
 
@@ -33,7 +33,7 @@ def settings() -> Element:
 
 
 def theme() -> Element:
-    """Light, dark, or as the device has it."""
+    """Light, dark, or the theme of the device."""
     return _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
 
 
@@ -43,7 +43,7 @@ def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
 
 
 def figure(name: str, label: str) -> Element:
-    """The place of a chart, which the script draws."""
+    """Placeholder of a chart, which the script draws."""
     return element("figure", id=name, data_label=label)
 
 

@@ -39,7 +39,7 @@ Document = dict[str, object]
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """What the numbers are taken from. smoothed: any rate; baseline, laps: None where there are none."""
+    """Sources of the numbers. smoothed: any rate; baseline, laps: None where there are none."""
 
     session: Session
     smoothed: Trajectory
@@ -53,7 +53,7 @@ class Numbers:
 
     @property
     def middle(self) -> Array:
-        """Where maps have their origin, (2,) m north and west."""
+        """Origin of maps, (2,) m north and west."""
         return np.asarray(np.median(self.smoothed.position_n[:, :2], axis=0))
 
 
@@ -97,7 +97,7 @@ def drawn_laps(laps: LapAnalysis) -> list[int]:
 
 
 def lap_name(lap: Lap) -> str:
-    """Return what a lap is called: its number, and why it does not count."""
+    """Return the name of a lap: its number, and why it does not count."""
     return f"lap {lap.number}" + (f" ({', '.join(lap.reasons)})" if lap.reasons else "")
 
 
@@ -116,7 +116,7 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
     columns = grid_columns(numbers.smoothed, traces)
     named = lap_traces(traces, numbers.smoothed, numbers.middle, drawn, columns)
     named |= channel_traces(shown_channels(numbers), traces.t[np.ix_(np.array(drawn), columns)])
-    if sum(lap.is_valid for lap in laps.laps) < 2:  # beside the mean of one lap there is nothing to see
+    if sum(lap.is_valid for lap in laps.laps) < 2:  # a single lap is its own mean
         named = {name: values for name, values in named.items() if name not in OF_LINE}
     main = drawn.index(main_lap(laps))
     against = laps.reference_lap
@@ -136,12 +136,12 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
 
 
 def shown_channels(numbers: Numbers) -> list[Channel]:
-    """Return the channels of the logger that are drawn: no more than a page has room for, those of racers first."""
+    """Return the channels of the logger that are drawn: at most MOST_CHANNELS, FIRST_CHANNELS first."""
     return chosen_channels(numbers.session.channels)
 
 
 def chosen_channels(channels: Sequence[Channel]) -> list[Channel]:
-    """Return those of the channels that are drawn, the ones that racers look at first."""
+    """Return at most MOST_CHANNELS of the channels, FIRST_CHANNELS first."""
 
     def place(channel: Channel) -> int:
         return next((i for i, word in enumerate(FIRST_CHANNELS) if word in channel.name), len(FIRST_CHANNELS))
@@ -150,22 +150,22 @@ def chosen_channels(channels: Sequence[Channel]) -> list[Channel]:
 
 
 def described(channels: Sequence[Channel]) -> list[Document]:
-    """Return the names of the traces of channels, and what they are called above these."""
+    """Return the names of the traces of channels, and their titles."""
     return [{"name": trace_of(channel.name), "title": channel.name.replace("_", " ")} for channel in channels]
 
 
 def trace_of(name: str) -> str:
-    """Return what the trace of a channel is called, unlike any other trace."""
+    """Return the unique name of the trace of a channel."""
     return f"logged {name}"
 
 
 def channel_traces(channels: Sequence[Channel], t: Array) -> dict[str, Array]:
-    """Return the channels at times t of any shape, NaN in their holes, by their names."""
+    """Return the channels at times t of any shape, NaN in their gaps, by name."""
     return {trace_of(channel.name): channel_at(channel, np.nan_to_num(t, nan=-np.inf)) for channel in channels}
 
 
 def grid_columns(smoothed: Trajectory, traces: Traces) -> IntArray:
-    """Return which places of the grid are drawn: no more than the rate allows where the kart is fastest."""
+    """Return the points of the grid that are drawn: no more than the rate allows where the kart is fastest."""
     return np.arange(0, len(traces.distance), _grid_step(smoothed, traces))
 
 
@@ -177,7 +177,7 @@ def _grid_step(smoothed: Trajectory, traces: Traces) -> int:
 def lap_traces(
     traces: Traces, smoothed: Trajectory, middle: Array, drawn: list[int], columns: IntArray
 ) -> dict[str, Array]:
-    """Return what is drawn of laps `drawn` at the places `columns` of the grid, each (L, M)."""
+    """Return the traces of laps `drawn` at the points `columns` of the grid, each (L, M)."""
     cut = np.ix_(np.array(drawn), columns)
     x, y = places(smoothed, middle, traces.t[cut])
     return {
@@ -192,7 +192,7 @@ def lap_traces(
         "offset_sigma": traces.lateral_sigma[cut],
         "is_off": np.where(traces.is_off_line[cut], 1.0, 0.0),
         **_slides(traces.sideslip[cut] / DEG, traces.sideslip_sigma[cut] / DEG),
-        **_sureness(smoothed, traces.t[cut]),
+        **_reliability(smoothed, traces.t[cut]),
     }
 
 
@@ -200,8 +200,8 @@ def _slides(sideslip: Array, sigma: Array) -> dict[str, Array]:
     return {"sideslip": sideslip, "sideslip_sigma": sigma} if np.isfinite(sideslip).any() else {}
 
 
-def _sureness(smoothed: Trajectory, t: Array) -> dict[str, Array]:
-    """Return 1 where the speed at times t of any shape is sure, else 0; only where one that is not tops all others.
+def _reliability(smoothed: Trajectory, t: Array) -> dict[str, Array]:
+    """Return 1 where the speed at times t of any shape is reliable, else 0; empty unless the highest one is not.
 
     Scales leave such spikes out, as the top speed does.
     """
@@ -229,7 +229,7 @@ def _first(laps: LapAnalysis, drawn: list[int], main: int) -> list[int]:
 
 
 def stretches(laps: LapAnalysis) -> list[tuple[str, tuple[float, float]]]:
-    """Return names and ends (m) of the parts of the track that can be looked at: every corner, every sector."""
+    """Return names and ends (m) of the selectable parts of the track: every corner, every sector."""
     parts = [(f"corner {c.number} ({'left' if c.turns_left else 'right'})", c.segment) for c in laps.corners]
     if laps.traces is None:
         return parts
@@ -240,7 +240,7 @@ def stretches(laps: LapAnalysis) -> list[tuple[str, tuple[float, float]]]:
 
 
 def corner_marks(laps: LapAnalysis, middle: Array) -> list[Document]:
-    """Return where the numbers of the corners stand on map and traces."""
+    """Return the positions of the corner numbers on map and traces."""
     if laps.reference is None:
         return []
     line, (north, west) = laps.reference, middle
@@ -295,7 +295,7 @@ def _whole_session(numbers: Numbers) -> Document:
         "speed": smoothed.speed[rows],
         "longitudinal": acceleration[:, 0],
         "sideways": acceleration[:, 1],
-        **_sureness(smoothed, smoothed.t[rows]),
+        **_reliability(smoothed, smoothed.t[rows]),
         **channel_traces(shown_channels(numbers), smoothed.t[rows]),
     }
     return {
@@ -314,7 +314,7 @@ def _whole_session(numbers: Numbers) -> Document:
 
 
 def cloud(smoothed: Trajectory) -> Document:
-    """Return accelerations of the session, where its speed is sure, in g, and the radius that holds nearly all."""
+    """Return accelerations in g where the speed is reliable, and the radius that contains nearly all."""
     sure = sure_rows(smoothed.speed, speed_sigma(smoothed))
     moving = np.flatnonzero((smoothed.speed > 2.0) & sure)
     rows = moving[:: max(1, -(-len(moving) // CLOUD))]
@@ -327,7 +327,7 @@ def cloud(smoothed: Trajectory) -> Document:
 
 
 def compared_times(numbers: Numbers) -> tuple[float, float]:
-    """Return from when to when (s) baseline and smoother are drawn: the main lap, else around the top speed."""
+    """Return the times (s) between which baseline and smoother are drawn: the main lap, else around the top speed."""
     t = numbers.smoothed.t
     if numbers.laps is not None and numbers.traces is not None:
         lap = numbers.laps.laps[main_lap(numbers.laps)]
@@ -344,7 +344,7 @@ def _compared(numbers: Numbers) -> Document:
     smoothed, baseline, gnss = numbers.smoothed, numbers.baseline, numbers.session.gnss
     out: Document = {"t": packed(t - start), "x": packed(x), "y": packed(y)}
     out["speed"] = packed(np.interp(t, smoothed.t, smoothed.speed))
-    out |= {name: packed(values) for name, values in _sureness(smoothed, t).items()}
+    out |= {name: packed(values) for name, values in _reliability(smoothed, t).items()}
     if baseline is not None:
         out["baseline_x"] = packed(np.interp(t, baseline.t, west - baseline.position_n[:, 1]))
         out["baseline_y"] = packed(np.interp(t, baseline.t, baseline.position_n[:, 0] - north))

@@ -8,13 +8,17 @@ a browser may apply: nothing else runs, and nothing is fetched.
 import base64
 import hashlib
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from xml.etree.ElementTree import Element, tostring
 
+from smoother.laps import clock
+
 _JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 Child = Element | str | None
+DASH = "–"  # of an unknown value
 SHORT = 16  # rows of a table that paper does not part
 LONG = 60  # rows of a table that scrolls by itself, so that what follows it can be reached
 
@@ -97,3 +101,21 @@ def whole_page(
 
 def _hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def lap_clock(seconds: float, digits: int = 3) -> str:
+    """Return 1:02.345, or 58.648 below a minute."""
+    return clock.lap_clock(seconds, digits, DASH)
+
+
+def number(value: float, digits: int = 2, signed: bool = False) -> str:
+    """Return a number without a negative zero."""
+    if not math.isfinite(value):
+        return DASH
+    return f"{round(value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"
+
+
+def with_sigma(value: float, sigma: float, digits: int, signed: bool = False) -> str:
+    """Return value ± sigma, or the value alone."""
+    text = number(value, digits, signed)
+    return text if text == DASH or not (math.isfinite(sigma) and sigma > 0.0) else f"{text} ± {number(sigma, digits)}"

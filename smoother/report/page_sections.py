@@ -1,4 +1,4 @@
-"""What report.html says in words and tables: summary, laps, corners, what is missing, the older method beside it."""
+"""Text and tables of report.html: summary, laps, corners, missing results, comparison with the baseline."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,14 +10,13 @@ from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import utc_clock
-from smoother.laps.clock import local_day, local_time, local_zone, luck_said, spread_said
+from smoother.laps.clock import chance_text, local_day, local_time, local_zone, spread_text
 from smoother.laps.lost import Loss, largest_losses, likely_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.top_speed import top_speed
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
-from smoother.report.page_html import Child, element, row, table
-from smoother.report.page_words import DASH, lap_clock, number, with_sigma
+from smoother.report.page_html import DASH, Child, element, lap_clock, number, row, table, with_sigma
 from smoother.report.summary import distance_driven
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
@@ -35,8 +34,8 @@ OF_SECTORS = "The ± of a sector is that of its difference from the same sector 
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """What the words are about. check: of the recording, as the sensors delivered it."""
+class PageContent:
+    """Data of the page. check: of the recording as the sensors delivered it."""
 
     session: Session
     smoothed: Trajectory
@@ -47,80 +46,94 @@ class Told:
 
     @property
     def statistics(self) -> Statistics | None:
-        """Figures of the laps that count, None where none does."""
-        said = None if self.laps is None else self.laps.statistics
-        return said if said is not None and said.counted else None
+        """Statistics of the laps that count, None where none does."""
+        statistics = None if self.laps is None else self.laps.statistics
+        return statistics if statistics is not None and statistics.counted else None
 
     @property
     def clock(self) -> UtcClock | None:
-        """Of the time of day; None where the receiver never told it."""
+        """Clock of the times of day; None where the receiver gave no time."""
         return utc_clock(self.session, self.smoothed)
 
     @property
     def title(self) -> str:
-        """What the session is called."""
+        """Title of the session."""
         return self.session.config.title or self.session.name or "session"
 
 
 def speed_cell(speed: float) -> Element:
-    """A cell with a speed m/s, which the script shows in the unit that was chosen."""
+    """A cell with a speed m/s, which the script shows in the chosen unit."""
     if not np.isfinite(speed):
         return element("td", DASH)
     return element("td", number(speed / KMH, 1), data_mps=f"{speed:.4f}")
 
 
 def speed_span(speed: float, digits: int = 1) -> Element:
-    """A speed m/s within a text, in the unit that was chosen, which :func:`speed_unit` tells."""
+    """A speed m/s within a text, in the chosen unit, which :func:`speed_unit` shows."""
     more = {} if digits == 1 else {"data_digits": str(digits)}
     return element("span", number(speed / KMH, digits), data_mps=f"{speed:.5f}", **more)
 
 
 def speed_unit() -> Element:
-    """The unit of speed that was chosen."""
+    """The chosen unit of speed."""
     return element("span", "km/h", class_="speed-unit")
 
 
-def header(told: Told) -> Element:
-    """Title, who and where, the verdict in a line, and the settings."""
-    config, clock = told.session.config, told.clock
-    track = told.laps.track if told.laps is not None and told.laps.track else config.track
+def header(content: PageContent) -> Element:
+    """Title, driver, kart, track, date and notes, and the settings of the page."""
+    config, clock = content.session.config, content.clock
+    track = content.laps.track if content.laps is not None and content.laps.track else config.track
     pairs = [("driver", config.driver), ("kart", config.kart), ("track", track)]
-    said = [f"{name}: {value}" for name, value in pairs if value]
-    said.append(local_day(clock.start_unix) if clock is not None else config.date or "")
-    words = [element("h1", told.title), element("p", " · ".join(text for text in said if text))]
+    parts = [f"{name}: {value}" for name, value in pairs if value]
+    parts.append(local_day(clock.start_unix) if clock is not None else config.date or "")
+    words = [element("h1", content.title), element("p", " · ".join(text for text in parts if text))]
     if config.notes:
         words.append(element("p", config.notes, class_="soft"))
     return element("header", element("div", *words), settings())
 
 
-def summary(told: Told) -> Element:
-    """The figures a driver looks for first, and what is missing."""
-    said, smoothed = told.statistics, told.smoothed
+def summary(content: PageContent) -> Element:
+    """Cards with the main results, and the missing results with their reasons."""
+    statistics, smoothed = content.statistics, content.smoothed
     cards = []
-    if said is not None and told.laps is not None and said.best_lap is not None:
-        cards.append(_card("Best lap", lap_clock(said.best), _pm(said.best_sigma, told.laps.laps[said.best_lap])))
-        if np.isfinite(said.theoretical):
-            cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
-        if np.isfinite(said.rolling):  # runs from A to B have none
-            cards.append(_card("Rolling best", lap_clock(said.rolling), _rolling(said)))
-        cards.append(_card("Consistency", spread_said(said.spread, counted(said.counted, "lap")), _consistency(said)))
-        if lost := largest_losses(told.laps, 1):
-            at = element("a", _where(lost[0], told.laps), href="#lost")
+    if statistics is not None and content.laps is not None and statistics.best_lap is not None:
+        cards.append(
+            _card(
+                "Best lap",
+                lap_clock(statistics.best),
+                _pm(statistics.best_sigma, content.laps.laps[statistics.best_lap]),
+            )
+        )
+        if np.isfinite(statistics.theoretical):
+            cards.append(_card("Theoretical best", lap_clock(statistics.theoretical), _theoretical(statistics)))
+        if np.isfinite(statistics.rolling):  # point-to-point runs have none
+            cards.append(_card("Rolling best", lap_clock(statistics.rolling), _rolling(statistics)))
+        cards.append(
+            _card(
+                "Consistency",
+                spread_text(statistics.spread, counted(statistics.counted, "lap")),
+                _consistency(statistics),
+            )
+        )
+        if lost := largest_losses(content.laps, 1):
+            at = element("a", _where(lost[0], content.laps), href="#lost")
             digits = loss_digits(lost[0].sigma)
             below = element("span", f"± {number(lost[0].sigma, digits)} s, ", at)
             cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, digits)} s", below))
-    fastest = top_speed(smoothed, told.laps)
-    unit, sure = speed_unit(), fastest.sigma
-    below = element("span", "± ", speed_span(sure, speed_digits(sure / KMH)), " ", unit) if np.isfinite(sure) else unit
+    fastest = top_speed(smoothed, content.laps)
+    unit, sigma = speed_unit(), fastest.sigma
+    below = (
+        element("span", "± ", speed_span(sigma, speed_digits(sigma / KMH)), " ", unit) if np.isfinite(sigma) else unit
+    )
     cards.append(_card("Top speed", speed_span(fastest.speed), below))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
     cards.append(_card("Distance", driven, f"in {duration(length)}"))
-    passed = told.quality.passed
+    passed = content.quality.passed
     verdict = "Yes" if passed else "No"
     trust = element("span", verdict, class_="good" if passed else "bad")
     cards.append(_card("Can I trust this?", trust, element("a", "see why", href="#quality")))
-    missing = [element("li", text) for text in _missing(told)]
+    missing = [element("li", text) for text in _missing(content)]
     note = [element("h3", "What is missing, and why"), element("ul", *missing)] if missing else []
     return element("section", element("dl", *cards, class_="cards"), *note, id="summary")
 
@@ -133,56 +146,62 @@ def _pm(sigma: float, lap: Lap) -> str:
     return f"± {number(sigma, 3)} s, lap {lap.number}" if np.isfinite(sigma) else f"lap {lap.number}"
 
 
-def _theoretical(said: Statistics) -> str:
-    text = f"± {number(said.theoretical_sigma, 3)} s" if np.isfinite(said.theoretical_sigma) else "best sectors"
-    if said.theoretical - said.theoretical_raw > 0.0005:
-        return f"{text}; {luck_said(said.theoretical, said.theoretical_raw, said.best)}"
-    if said.theoretical > said.best - 0.0005:
+def _theoretical(statistics: Statistics) -> str:
+    text = (
+        f"± {number(statistics.theoretical_sigma, 3)} s"
+        if np.isfinite(statistics.theoretical_sigma)
+        else "best sectors"
+    )
+    if statistics.theoretical - statistics.theoretical_raw > 0.0005:
+        return f"{text}; {chance_text(statistics.theoretical, statistics.theoretical_raw, statistics.best)}"
+    if statistics.theoretical > statistics.best - 0.0005:
         return f"{text}; the best lap has all the best sectors"
     return text
 
 
-def _rolling(said: Statistics) -> str:
-    text = f"± {number(said.rolling_sigma, 3)} s" if np.isfinite(said.rolling_sigma) else "one lap long"
-    if said.rolling_from > 0.0:
-        text += f", from {said.rolling_from:.0f} m"
-    if said.rolling - said.rolling_raw > 0.0005:
-        text += f"; timed as {lap_clock(said.rolling_raw)}, not corrected for chance"
-    best = said.theoretical if np.isfinite(said.theoretical) else said.best
-    return text if said.rolling > best - 0.0005 else f"{text}; it may include parts of laps that do not count"
+def _rolling(statistics: Statistics) -> str:
+    text = f"± {number(statistics.rolling_sigma, 3)} s" if np.isfinite(statistics.rolling_sigma) else "one lap long"
+    if statistics.rolling_from > 0.0:
+        text += f", from {statistics.rolling_from:.0f} m"
+    if statistics.rolling - statistics.rolling_raw > 0.0005:
+        text += f"; timed as {lap_clock(statistics.rolling_raw)}, not corrected for chance"
+    best = statistics.theoretical if np.isfinite(statistics.theoretical) else statistics.best
+    return text if statistics.rolling > best - 0.0005 else f"{text}; it may include parts of laps that do not count"
 
 
-def _consistency(said: Statistics) -> str:
-    """What stands below the spread of the laps, or their number where it has none."""
-    if said.counted == 1:
+def _consistency(statistics: Statistics) -> str:
+    """Text below the spread of the laps, or below their number where there is no spread."""
+    if statistics.counted == 1:
         return "that counts; there is no other to compare it with"
-    which = f"spread of {counted(said.counted, 'lap')} that count" if np.isfinite(said.spread) else "that count"
-    return f"{which}; {said.within_tenth - 1 or 'none'} of the others within 0.1 s of the best"
+    which = (
+        f"spread of {counted(statistics.counted, 'lap')} that count" if np.isfinite(statistics.spread) else "that count"
+    )
+    return f"{which}; {statistics.within_tenth - 1 or 'none'} of the others within 0.1 s of the best"
 
 
-def _missing(told: Told) -> Iterator[str]:
-    if told.smoothed.report.mode == "gps-only":
+def _missing(content: PageContent) -> Iterator[str]:
+    if content.smoothed.report.mode == "gps-only":
         yield (
             "Roll, pitch, yaw and sideslip: there is no usable motion sensor. Everything is from the GPS alone, "
             "accelerations from its smoothed speed."
         )
-    if told.laps is None or not any(lap.is_timed for lap in told.laps.laps):
-        why = "" if told.laps is None else "; ".join(p.text for p in told.laps.problems)
+    if content.laps is None or not any(lap.is_timed for lap in content.laps.laps):
+        why = "" if content.laps is None else "; ".join(p.text for p in content.laps.problems)
         yield f"Laps and every comparison of laps{': ' + why if why else '.'}"
-    elif told.laps.no_sideslip and told.smoothed.report.mode != "gps-only":
-        yield f"Sideslip: {told.laps.no_sideslip}."
-    if told.smoothed.sigmas is None:
+    elif content.laps.no_sideslip and content.smoothed.report.mode != "gps-only":
+        yield f"Sideslip: {content.laps.no_sideslip}."
+    if content.smoothed.sigmas is None:
         yield "Uncertainties: the estimate has no sigmas."
-    if told.baseline is None:
+    if content.baseline is None:
         yield "The comparison with the baseline: it was switched off, or the baseline has no estimate."
 
 
-def lap_section(told: Told) -> list[Element]:
-    """The table of laps and sectors, these with their sigma against the best lap's; nothing without a lap."""
-    laps = told.laps
+def lap_section(content: PageContent) -> list[Element]:
+    """The table of laps and sectors with their sigmas, for sectors those of the difference from the best lap."""
+    laps = content.laps
     if laps is None or not laps.laps:
         return []
-    started, said = _starts(told), told.statistics
+    started, statistics = _starts(content), content.statistics
     official = {one.lap: one for one in laps.official if one.lap is not None}
     heads = ["lap", *([f"started ({local_zone(started)})"] if started else []), "time ± (s)", "gap"]
     heads += [*(f"S{i + 1} ±" for i in range(laps.sectors)), "top ", "raw GPS"]
@@ -193,8 +212,8 @@ def lap_section(told: Told) -> list[Element]:
         cells: list[Child] = [str(lap.number)]
         if started:
             cells.append(local_time(started[i]))
-        is_best = said is not None and said.best_lap == i  # of itself there is no gap
-        gap = lap.time - said.best if said is not None and lap.is_valid and not is_best else np.nan
+        is_best = statistics is not None and statistics.best_lap == i  # without a gap to itself
+        gap = lap.time - statistics.best if statistics is not None and lap.is_valid and not is_best else np.nan
         cells += [time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
         cells += [time_cell(*_sector(lap, k)) for k in range(laps.sectors)]
         cells += [speed_cell(lap.top_speed), lap_clock(lap.raw_time)]
@@ -216,11 +235,11 @@ def lap_section(told: Told) -> list[Element]:
     return [*made, *(element("p", p.text) for p in laps.problems)]
 
 
-def _starts(told: Told) -> list[float]:
-    """UTC at the start of each lap, s since 1970; none where the receiver never told it."""
-    if told.laps is None or told.clock is None:
+def _starts(content: PageContent) -> list[float]:
+    """UTC at the start of each lap, s since 1970; empty where the receiver gave no time."""
+    if content.laps is None or content.clock is None:
         return []
-    return [told.clock.at(lap.start) for lap in told.laps.laps]
+    return [content.clock.at(lap.start) for lap in content.laps.laps]
 
 
 def _sector(lap: Lap, k: int) -> tuple[float, float]:
@@ -229,7 +248,7 @@ def _sector(lap: Lap, k: int) -> tuple[float, float]:
 
 
 def _or_unknown(sigma: float) -> float:
-    """The sigma of a difference; of the best lap against itself there is none to show."""
+    """The sigma of a difference, NaN for the best lap against itself."""
     return sigma if sigma > 0.0 else np.nan
 
 
@@ -240,9 +259,9 @@ def time_cell(time: float, sigma: float) -> Element:
     return element("td", lap_clock(time), element("small", f" ± {number(sigma, 3)}" if np.isfinite(sigma) else ""))
 
 
-def corner_section(told: Told) -> list[Element]:
-    """What was lost where, real or within noise, and the corners of the best lap; nothing without corners."""
-    laps = told.laps
+def corner_section(content: PageContent) -> list[Element]:
+    """Time lost in each corner, and the corners of the best lap; empty without corners."""
+    laps = content.laps
     if laps is None or not laps.corners:
         return []
     against = laps.reference_name if laps.reference_lap is None else f"lap {laps.laps[laps.reference_lap].number}"
@@ -258,7 +277,7 @@ def corner_section(told: Told) -> list[Element]:
 
 
 def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
-    """The largest real losses, one a line; that there is none is said too."""
+    """The largest real losses, one a line, or a sentence that there is none."""
     if not any(lap.is_valid and i != laps.reference_lap for i, lap in enumerate(laps.laps)):
         return []
     lost, title = largest_losses(laps), element("h3", "Where time was lost", id="lost")
@@ -301,7 +320,7 @@ def _where(loss: Loss, laps: LapAnalysis) -> str:
 
 
 def stars_note(corners: Sequence[Corner]) -> str:
-    """What a star beside a loss says, and how many times its sigma it takes."""
+    """The meaning of a star beside a loss, with the threshold in sigmas."""
     times = number(corners[0].real_from, 1)
     return (
         f"Bold with a star: real, that is at least {times} times its ±, since some of so many losses are large by "
@@ -315,7 +334,7 @@ def _compared(laps: LapAnalysis) -> list[int]:
 
 
 def corner_name(corner: Corner) -> str:
-    """Return what a corner is called."""
+    """Return the name of a corner, as 4 left."""
     return f"{corner.number} {'left' if corner.turns_left else 'right'}"
 
 
@@ -333,12 +352,12 @@ def _lost_rows(laps: LapAnalysis) -> list[Element]:
 
 
 def lost_cell(corner: Corner, i: int) -> Element:
-    """A cell with what lap i lost in a corner, marked where it is real."""
+    """A cell with the time that lap i lost in a corner, marked where it is real."""
     return _lost_cell(float(corner.time_lost[i]), float(corner.time_lost_sigma[i]), bool(corner.is_real[i]))
 
 
 def usual_cell(corner: Corner, *after: Child) -> Element:
-    """A cell with what is usually lost in a corner, marked where it is real."""
+    """A cell with the usual loss in a corner, marked where it is real."""
     return _lost_cell(corner.usual_lost, corner.usual_lost_sigma, corner.usual_is_real, *after)
 
 
@@ -384,18 +403,18 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         if timed
         else ""
     )
-    note = [f"Distances are metres from the line.{usual_note}", *_speeds_are_sure(laps, shown), slide]
+    note = [f"Distances are metres from the line.{usual_note}", *_speed_sigma_note(laps, shown), slide]
     return [element("h3", title), element("p", *note, class_="soft"), table(heads, rows)]
 
 
-def _speeds_are_sure(laps: LapAnalysis, shown: int) -> list[Child]:
-    """How sure the speeds of a lap in corners are; where a kart brakes, a place that is unsure makes its speed so."""
+def _speed_sigma_note(laps: LapAnalysis, shown: int) -> list[Child]:
+    """Sigmas of the speeds of a lap in corners, which contain the position error times the slope of the speed."""
     sigmas = [[c.entry_speed_sigma[shown], c.min_speed_sigma[shown], c.exit_speed_sigma[shown]] for c in laps.corners]
     known = np.array([row for row in sigmas if np.isfinite(row).all()])
     if not known.size:
         return []
     entry, least, leaving = (speed_span(float(one)) for one in np.median(known, axis=0))
-    sure: list[Child] = [
+    note: list[Child] = [
         " Uncertainty of speeds: ± ",
         entry,
         " on entry, ± ",
@@ -404,21 +423,21 @@ def _speeds_are_sure(laps: LapAnalysis, shown: int) -> list[Child]:
         leaving,
         " on exit (",
     ]
-    return [*sure, speed_unit(), "), which contains the uncertainty of the position."]
+    return [*note, speed_unit(), "), which contains the uncertainty of the position."]
 
 
-def baseline_section(told: Told) -> list[Element]:
-    """How far baseline and raw fixes lie from the smoothed path, in numbers; the charts stand below."""
-    rows = [row(name, *values) for name, *values in _differences(told)]
+def baseline_section(content: PageContent) -> list[Element]:
+    """Differences of the baseline from the smoothed path, as numbers."""
+    rows = [row(name, *values) for name, *values in _differences(content)]
     if not rows:
         return []
-    return [table(["difference", "rms", "largest"], rows), *_lost_north(told)]
+    return [table(["difference", "rms", "largest"], rows), *_yaw_note(content)]
 
 
-def _lost_north(told: Told) -> list[Element]:
-    """Why the yaw of the baseline may be anywhere, where it is shown and has no compass to hold it."""
-    baseline = told.baseline
-    if baseline is None or not np.isfinite(told.smoothed.R_nb).any():
+def _yaw_note(content: PageContent) -> list[Element]:
+    """Why the yaw of the baseline is wrong, where it is shown and has no magnetometer."""
+    baseline = content.baseline
+    if baseline is None or not np.isfinite(content.smoothed.R_nb).any():
         return []
     if not any(problem.code == "baseline_no_magnetometer" for problem in baseline.report.problems):
         return []
@@ -429,13 +448,13 @@ def _lost_north(told: Told) -> list[Element]:
     return [element("p", text, class_="soft")]
 
 
-def _differences(told: Told) -> Iterator[tuple[Child, Child, Child]]:
-    baseline, smoothed = told.baseline, told.smoothed
+def _differences(content: PageContent) -> Iterator[tuple[Child, Child, Child]]:
+    baseline, smoothed = content.baseline, content.smoothed
     if baseline is None:
         return
     at = np.stack([np.interp(baseline.t, smoothed.t, smoothed.position_n[:, k]) for k in (0, 1)], axis=1)
     away = np.hypot(*(baseline.position_n[:, :2] - at).T)
-    yield _told_of("position on the map (m)", away, 2)
+    yield _difference_row("position on the map (m)", away, 2)
     rms, largest = _rms_and_largest(baseline.speed - np.interp(baseline.t, smoothed.t, smoothed.speed))
     yield element("span", "speed (", speed_unit(), ")"), speed_span(rms, 2), speed_span(largest, 2)
     if np.isfinite(smoothed.R_nb).any():
@@ -443,15 +462,15 @@ def _differences(told: Told) -> Iterator[tuple[Child, Child, Child]]:
         turn = baseline.euler - smoothed.euler[same]
         turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
         for k, name in enumerate(("roll", "pitch", "yaw")):
-            yield _told_of(f"{name} (deg)", turn[:, k] / DEG, 1)
+            yield _difference_row(f"{name} (deg)", turn[:, k] / DEG, 1)
 
 
-def _told_of(name: str, values: Array, digits: int) -> tuple[str, str, str]:
+def _difference_row(name: str, values: Array, digits: int) -> tuple[str, str, str]:
     rms, largest = _rms_and_largest(values)
     return name, number(rms, digits), number(largest, digits)
 
 
 def _rms_and_largest(values: Array) -> tuple[float, float]:
-    """Of what is known of values (N,), NaN where nothing is."""
+    """Rms and largest magnitude of the finite values (N,), NaN without any."""
     known = values[np.isfinite(values)]
     return (float(np.sqrt(np.mean(known**2))), float(np.abs(known).max())) if known.size else (np.nan, np.nan)

@@ -1,4 +1,4 @@
-"""Whether a session can be trusted, as report.html says it: verdict, recording, residuals, what was identified."""
+"""The section of report.html on trust: verdict, recording, residuals, identified constants."""
 
 from collections.abc import Iterator, Mapping
 from xml.etree.ElementTree import Element
@@ -9,28 +9,27 @@ from smoother.arrays import Array
 from smoother.laps.results import LapAnalysis
 from smoother.laps.sigma import least_real
 from smoother.problems import remedy
-from smoother.report.page_html import Child, element, row, table
-from smoother.report.page_sections import Told, speed_span, speed_unit
-from smoother.report.page_words import DASH, number
-from smoother.report.summary import is_told, known_axes, mounting_angles, smoothing_time, told_problems
+from smoother.report.page_html import DASH, Child, element, number, row, table
+from smoother.report.page_sections import PageContent, speed_span, speed_unit
+from smoother.report.summary import is_reported, known_axes, mounting_angles, reported_problems, smoothing_time
 from smoother.samples import Problem
 from smoother.trajectory import WHITENED, Identified
 from smoother.units import DEG
 from smoother.words import measured, repeated
 
 
-def trust(told: Told) -> list[Element]:
-    """The verdict and the sentences behind it."""
-    quality = told.quality
+def trust(content: PageContent) -> list[Element]:
+    """The verdict, its sentences, problems and findings."""
+    quality = content.quality
     if quality.passed:
         verdict = element("p", element("strong", "Yes: it passed its own quality gate.", class_="good"))
     else:
         reasons = "; ".join(quality.reasons)
         verdict = element("p", element("strong", f"No: {reasons}.", class_="bad"))
-    sentences = [element("li", text) for text in _trust_sentences(told)]
-    findings = [f for f in told.check.findings if f.level != "ok"]
+    sentences = [element("li", text) for text in _trust_sentences(content)]
+    findings = [f for f in content.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
-    problems = [_problem(problem) for problem in told_problems(told.session, told.smoothed.report)]
+    problems = [_problem(problem) for problem in reported_problems(content.session, content.smoothed.report)]
     made = [verdict, element("ul", *sentences)]
     if problems:
         made += [element("h3", "Problems of the recording"), element("ul", *problems)]
@@ -40,14 +39,14 @@ def trust(told: Told) -> list[Element]:
 
 
 def _problem(problem: Problem) -> Element:
-    """What was found, what to do about it, and the code under which the documents explain it."""
+    """A problem: its sentence, its code and its remedy."""
     advice = remedy(problem.code)
     todo = (element("br"), f"What to do: {advice}") if advice else ()
     return element("li", repeated(problem.text, problem.count), " ", element("code", problem.code), *todo)
 
 
-def _trust_sentences(told: Told) -> Iterator[Child]:
-    sigmas, said = told.smoothed.sigmas, told.statistics
+def _trust_sentences(content: PageContent) -> Iterator[Child]:
+    sigmas, statistics = content.smoothed.sigmas, content.statistics
     if sigmas is not None:
         across = float(np.nanmedian(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])))
         yield f"Absolute position: ± {number(across, 1)} m (one sigma), the slow error of the GPS included."
@@ -56,22 +55,26 @@ def _trust_sentences(told: Told) -> Iterator[Child]:
             yield f"Line on the track, without that slow error: ± {number(float(np.median(track)), 2)} m."
         typical = speed_span(float(np.nanmedian(sigmas.speed)), 2)
         yield element("span", "Speed: ± ", typical, " ", speed_unit(), ".")
-    if said is not None and np.isfinite(said.best_sigma):
-        alike = _alike(told.laps)
-        enough = f"; two laps that differ by less than {number(alike, 2)} s may be equally fast" if alike > 0.0 else ""
-        yield f"Best lap: ± {number(said.best_sigma, 3)} s{enough}."
-    measures = told.quality.measures
+    if statistics is not None and np.isfinite(statistics.best_sigma):
+        difference = _indistinguishable_difference(content.laps)
+        enough = (
+            f"; two laps that differ by less than {number(difference, 2)} s may be equally fast"
+            if difference > 0.0
+            else ""
+        )
+        yield f"Best lap: ± {number(statistics.best_sigma, 3)} s{enough}."
+    measures = content.quality.measures
     if "far_fix_share" in measures:
         yield f"Fixes far from the path: {number(100.0 * measures['far_fix_share'], 1)} %."
-    fixes = told.smoothed.report.fixes
+    fixes = content.smoothed.report.fixes
     if fixes is not None and len(fixes.index):
-        doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
-        unused = len(told.session.gnss) - used
-        of_all = f"Fixes used: {used} of {len(told.session.gnss)}; removed: {unused}"
-        yield f"{of_all}; used at less than half weight: {doubted}."
+        downweighted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
+        unused = len(content.session.gnss) - used
+        of_all = f"Fixes used: {used} of {len(content.session.gnss)}; removed: {unused}"
+        yield f"{of_all}; used at less than half weight: {downweighted}."
 
 
-def _alike(laps: LapAnalysis | None) -> float:
+def _indistinguishable_difference(laps: LapAnalysis | None) -> float:
     """Difference (s) of a lap from the best up to which both may be equally fast; 0 where none other counts."""
     if laps is None or laps.statistics is None or laps.statistics.best_lap is None:
         return 0.0
@@ -97,18 +100,18 @@ _MEASURES: Mapping[str, tuple[str, str, int]] = {
 }
 
 
-def recording_table(told: Told) -> Element:
-    """Rates, gaps, vibration, clipping as the sensors delivered them."""
+def recording_table(content: PageContent) -> Element:
+    """Rates, gaps, vibration and clipping of the sensors."""
     rows = []
     for key, (name, unit, digits) in _MEASURES.items():
-        value = told.check.measures.get(key, np.nan)
+        value = content.check.measures.get(key, np.nan)
         is_of_none = key.endswith("_gap_longest_s") and value == 0.0
         if np.isfinite(value) and not is_of_none:
             rows.append(row(name, number(100.0 * value if unit == "%" else value, digits), unit))
     return table(["", "", ""], rows, "The recording", "words")
 
 
-def residual_table(told: Told) -> Element:
+def residual_table(content: PageContent) -> Element:
     """The residuals of each kind of measurement."""
     rows = [
         row(
@@ -118,7 +121,7 @@ def residual_table(told: Told) -> Element:
             number(r.normalised_rms, 2),
             str(r.rejected),
         )
-        for name, r in told.smoothed.report.residuals.items()
+        for name, r in content.smoothed.report.residuals.items()
     ]
     caption = (
         "Residuals. In sigma they should be about 1 or less, because the path is fitted to the measurements; far above "
@@ -156,15 +159,17 @@ _NAMES = {
 }
 
 
-def identified_table(told: Told) -> Element:
-    """What was found out of the session, each with its sigma."""
-    report = told.smoothed.report
-    rows = [_identified(name, value) for name, value in report.identified.items() if is_told(name, value, report.mode)]
+def identified_table(content: PageContent) -> Element:
+    """The identified constants with their sigmas."""
+    report = content.smoothed.report
+    rows = [
+        _identified(name, value) for name, value in report.identified.items() if is_reported(name, value, report.mode)
+    ]
     return table(["", "value", "± one sigma", "unit", "from"], rows, "Identified constants", "words")
 
 
 def _identified(name: str, found: Identified) -> Element:
-    unit, factor, told = found.unit, 1.0, known_axes(name, found)
+    unit, factor, content = found.unit, 1.0, known_axes(name, found)
     if unit.startswith("rad"):
         unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
     if name == "gps_velocity_response" and (time := smoothing_time(found)) is not None:
@@ -172,10 +177,10 @@ def _identified(name: str, found: Identified) -> Element:
     elif name == "R_bs":
         unit, (values, errors) = "deg", mounting_angles(found)
     else:
-        values, errors = (_flat(numbers, factor)[told] for numbers in (found.value, found.sigma))
+        values, errors = (_flat(numbers, factor)[content] for numbers in (found.value, found.sigma))
     shown = measured(values, errors, _digits(np.array(values)))
     called = _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS"))
-    if told != slice(None):
+    if content != slice(None):
         called = called.replace(", up", " (up is not known)")
     return row(called, shown[0], shown[1] or DASH, unit.replace("^2", "²").replace("sqrt(Hz)", "√Hz"), found.source)
 

@@ -1,4 +1,4 @@
-"""How the figures look: colours that colour-blind readers can tell apart, a clock on the time axis, thinned lines.
+"""Style of the figures: colours for colour-blind readers, a clock on the time axis, thinned lines.
 
 Everything here works on Figure and Axes objects; pyplot and its global state are never touched.
 """
@@ -54,7 +54,7 @@ LETTER = 0.6  # of its size that a letter of a heading is wide, on average
 DOTS_PER_INCH = 110
 COMPRESSION = 2  # of PNG; 6 costs twice the time for a tenth of the size
 _TICK_STEPS = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)  # s
-SHADES = 48  # of a line coloured by something: more than an eye tells apart
+SHADES = 48  # of a coloured line; more are not distinguishable
 MOST_TICKS = 6  # along an axis
 _DECADES = range(-8, 6)
 GRID: Any = {"colors": "#dddddd", "linewidths": 0.6, "zorder": 0.5}

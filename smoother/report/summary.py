@@ -1,4 +1,4 @@
-"""summary.json: everything a session's smoothing found out, as one document of plain values."""
+"""summary.json: all results of smoothing a session, as one document of plain values."""
 
 from collections.abc import Mapping
 
@@ -17,17 +17,17 @@ from smoother.units import DEG
 
 Document = dict[str, object]
 
-CLEARLY = 2.0  # sigma
+SIGNIFICANT_SIGMAS = 2.0  # sigma
 NEAR_FIX = 30.0  # s, within which a row counts in what is typical; a longer outage than a minute does not
-# says nothing but where a session shows it: most boxes have none
-ONLY_IF_SEEN = (
+# reported only if identified; most loggers have none
+ONLY_IF_IDENTIFIED = (
     "gps_velocity_response",
     "accel_rectification",
     "accel_rectification_by_rate",
     "accel_delay",
     "imu_clock_drift",
 )
-OF_THE_IMU = ("lever_arm_b", "R_bs", "accel_noise", "gyro_noise")
+IMU_CONSTANTS = ("lever_arm_b", "R_bs", "accel_noise", "gyro_noise")
 
 
 def summary(
@@ -49,7 +49,7 @@ def summary(
         "counts": _counts(session, estimate),
         "origin": {"lat_deg": session.origin.lat_deg, "lon_deg": session.origin.lon_deg, "alt_m": session.origin.alt_m},
         "calibration": list(session.calibration),
-        "problems": told_problems(session, report),
+        "problems": reported_problems(session, report),
         "identified": report.identified,
         "residuals": report.residuals,
         "quality": quality,
@@ -58,36 +58,40 @@ def summary(
     }
 
 
-def told_problems(session: Session, report: EstimateReport) -> list[Problem]:
-    """Return what the reader and an estimator say, without repetitions: both may have met the same."""
+def reported_problems(session: Session, report: EstimateReport) -> list[Problem]:
+    """Return the problems of reader and estimator without repetitions."""
     return list(dict.fromkeys([*session.problems, *report.problems]))
 
 
-def is_told(name: str, found: Identified, mode: str) -> bool:
-    """Whether an identified value says something: of fixes alone, those of the inertial sensor stand for nothing."""
-    if name in ONLY_IF_SEEN and found.source == "default":
+def is_reported(name: str, found: Identified, mode: str) -> bool:
+    """Whether an identified value is reported; without samples, the defaults of the IMU's constants are not."""
+    if name in ONLY_IF_IDENTIFIED and found.source == "default":
         return False
-    if name == "mag_soft_iron":  # nine numbers, for whoever makes a calibration of them
+    if name == "mag_soft_iron":  # nine numbers, of use to a calibration only
         return False
     if name == "gps_velocity_response":
         return smoothing_time(found) is not None
-    return mode != "gps-only" or name not in OF_THE_IMU or found.source != "default"
+    return mode != "gps-only" or name not in IMU_CONSTANTS or found.source != "default"
 
 
 def smoothing_time(found: Identified) -> tuple[float, float] | None:
-    """Return over which time a receiver smooths its speed, and its sigma, s; None where it does not clearly.
+    """Return the time over which a receiver smooths its speed, and its sigma, s; None where it is not significant.
 
     found: `gps_velocity_response`, half the square of that time.
     """
-    if not (isinstance(found.value, float) and isinstance(found.sigma, float) and found.value > CLEARLY * found.sigma):
+    if not (
+        isinstance(found.value, float)
+        and isinstance(found.sigma, float)
+        and found.value > SIGNIFICANT_SIGMAS * found.sigma
+    ):
         return None
     time = float(np.sqrt(2.0 * found.value))
     return time, found.sigma / time
 
 
 def known_axes(name: str, found: Identified) -> slice:
-    """Which components of a value are shown. Of an arm that nobody stated: forward and left, since a drive on the level
-    does not show how high the antenna is."""
+    """The components of a value that are shown. Of a lever arm that is not stated: forward and left, because the height
+    of the antenna is not observable."""
     return slice(0, 2) if name == "lever_arm_b" and found.source != "configured" else slice(None)
 
 
@@ -97,18 +101,18 @@ def mounting_angles(found: Identified) -> tuple[list[float], list[float]]:
     angles = [float(angle) / DEG for angle in euler_from_rotation(R_bs)]
     if found.sigma is None:
         return angles, []
-    by_turn_b = euler_jacobian(R_bs) @ R_bs.T  # the sigmas are those of turns about the axes of the kart
+    by_turn_b = euler_jacobian(R_bs) @ R_bs.T  # the sigmas are those of rotations about the axes of the kart
     sigma = np.sqrt(by_turn_b**2 @ np.square(found.sigma)) / DEG
     return angles, np.minimum(sigma, 180.0).tolist()
 
 
 def distance_driven(estimate: Trajectory) -> float:
-    """Return the horizontal length of the path, m, from the speed: standing still adds next to nothing."""
+    """Return the horizontal length of the path, m, from the speed; rest adds next to nothing."""
     return float(np.sum(0.5 * (estimate.speed[1:] + estimate.speed[:-1]) * np.diff(estimate.t)))
 
 
 def fastest_row(estimate: Trajectory) -> int:
-    """Return the row of the highest speed of those as sure as most of the session or to a tenth of themselves."""
+    """Return the row of the highest speed among the reliable ones (:func:`smoother.laps.top_speed.reliable_rows`)."""
     speed = estimate.speed
     return int(np.argmax(np.where(sure_rows(speed, speed_sigma(estimate)), speed, -np.inf)))
 
@@ -143,10 +147,7 @@ def _counts(session: Session, estimate: Trajectory) -> Document:
 
 
 def _median_sigmas(session: Session, estimate: Trajectory) -> Document | None:
-    """Typical sigma of each quantity, in the units of trajectory.csv, for people who want one number.
-
-    Of the rows that have fixes near them: of a pause of an hour nobody asks how well it is known.
-    """
+    """Median sigma of each quantity, in the units of trajectory.csv, over the rows with fixes near them."""
     sigmas = estimate.sigmas
     if sigmas is None:
         return None

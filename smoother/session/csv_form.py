@@ -195,11 +195,11 @@ def _quality(table: Table, sigma: Array) -> tuple[Array, list[Problem]]:
     """
     fix = table.column("fix")
     with np.errstate(invalid="ignore"):
-        estimated, is_told = fix == NMEA_ESTIMATED, sigma > 0.0
-    count = int(np.count_nonzero(estimated & is_told))
+        estimated, is_reported = fix == NMEA_ESTIMATED, sigma > 0.0
+    count = int(np.count_nonzero(estimated & is_reported))
     text = f"{table.file}: fix is {NMEA_ESTIMATED}, estimated, in {counted(count, 'row')}; as sure as hacc_m says"
     said = [Problem("gps_estimated_used", text, count)] if count else []
-    return np.where(estimated & ~is_told, ESTIMATED, fix), said
+    return np.where(estimated & ~is_reported, ESTIMATED, fix), said
 
 
 def _unix_seconds(table: Table) -> tuple[Array, list[Problem]]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from smoother.laps.clock import local_day, local_time, local_zone, luck_said
+from smoother.laps.clock import chance_text, local_day, local_time, local_zone
 
 NOON = 1_778_925_600.0  # 2026-05-16 10:00 UTC, noon in Berlin
 
@@ -34,5 +34,5 @@ def test_the_zone_has_a_name_and_two_where_the_clock_was_changed() -> None:
 
 
 def test_the_luck_of_the_timing_is_what_the_times_that_are_shown_differ_by() -> None:
-    said = luck_said(65.5634, 65.5556, 66.0)
+    said = chance_text(65.5634, 65.5556, 66.0)
     assert said == "best sectors add up to 1:05.556, which is 0.007 s too fast by chance"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from smoother.report.compare_page import MOST_LAPS, Compared, comparison, losses
-from smoother.report.page_words import number
+from smoother.report.page_html import number
 from smoother.trajectory import Trajectory
 
 
@@ -95,7 +95,7 @@ def test_a_loss_is_called_real_only_where_it_is(compared: list[Compared]) -> Non
         real += sum(bool(corner.is_real[said.best_lap]) for corner in one.analysis.corners)
         real += sum(corner.usual_is_real for corner in one.analysis.corners)
     whole = losses(compared)
-    assert all(loss.is_real == (abs(loss.lost) >= loss.sure * loss.sigma) for loss in whole)
+    assert all(loss.is_real == (abs(loss.lost) >= loss.threshold * loss.sigma) for loss in whole)
     assert [np.isfinite(loss.lost) for loss in whole] == [one.reference is None for one in compared]
     assert starred == real + sum(loss.is_real for loss in whole)
 

@@ -21,9 +21,19 @@ from smoother.report import page as page_module
 from smoother.report import page_data
 from smoother.report.files import to_json
 from smoother.report.page import Report, page, write_page
-from smoother.report.page_html import LONG, element, json_in_script, parted, row, table, whole_page
+from smoother.report.page_html import (
+    LONG,
+    element,
+    json_in_script,
+    lap_clock,
+    number,
+    parted,
+    row,
+    table,
+    whole_page,
+    with_sigma,
+)
 from smoother.report.page_sections import _rolling
-from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import (

@@ -10,7 +10,7 @@ from smoother import so3
 from smoother.estimate.quality import Quality
 from smoother.frames import euler_from_rotation
 from smoother.report.files import to_json
-from smoother.report.summary import distance_driven, is_told, mounting_angles, summary
+from smoother.report.summary import distance_driven, is_reported, mounting_angles, summary
 from smoother.samples import Problem, Session
 from smoother.trajectory import Identified, Sigmas, Trajectory
 
@@ -92,5 +92,5 @@ def test_the_distance_is_that_of_the_antenna_over_ground(session: Session, traje
 def test_nine_numbers_of_the_compass_are_for_the_document_alone() -> None:
     soft = Identified(np.eye(3).tolist(), np.full((3, 3), 0.1).tolist(), "1", True, "identified")
     hard = Identified([1.0, 2.0, 3.0], [0.1, 0.1, 0.1], "of the readings", True, "identified")
-    assert not is_told("mag_soft_iron", soft, "full")
-    assert is_told("mag_hard_iron", hard, "full")
+    assert not is_reported("mag_soft_iron", soft, "full")
+    assert is_reported("mag_hard_iron", hard, "full")

@@ -213,7 +213,7 @@ def test_zeros_of_a_kart_that_stands_are_measured(tmp_path: Path, columns: dict[
 
 @pytest.mark.parametrize(("hole", "is_told"), [((0.0, 0.0), True), ((0.0, 190.0), False), ((150.0, 190.0), False)])
 def test_a_kart_that_is_pushed_and_stands_again_is_told_from_a_receiver_that_settles_by_when(
-    tmp_path: Path, hole: tuple[float, float], is_told: bool
+    tmp_path: Path, hole: tuple[float, float], is_reported: bool
 ) -> None:
     """Without the motion sensor, both look alike in the first two minutes."""
     t = np.arange(0.0, 400.0, 0.2)
@@ -222,7 +222,7 @@ def test_a_kart_that_is_pushed_and_stands_again_is_told_from_a_receiver_that_set
     lat = 45 + np.cumsum(speed) * 0.2 / 111_195
     sent = np.where(speed < 2.0, 0.0, speed)
     _, said = lap(tmp_path, t_s=t, lat_deg=lat, lon_deg=0.0 * t + 12.0, speed_mps=sent, course_deg=0.0 * t)
-    assert list(said) == (["gps_speed_threshold"] if is_told else [])
+    assert list(said) == (["gps_speed_threshold"] if is_reported else [])
 
 
 def stops(threshold: float, rate: float = 5.0, settles: float = 0.0) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -156,7 +156,7 @@ def tells_offset(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
     return len(seen.t) >= FEWEST and has_doppler(path) and not follows_positions(fixes_t, path)
 
 
-def is_told(fixes_t: Array, path: GnssPath) -> bool:
+def is_reported(fixes_t: Array, path: GnssPath) -> bool:
     """Whether the fixes of `path`, stamped fixes_t (M,) s, say anything of their offset."""
     return tells_offset(fixes_t, drift_against_doppler(fixes_t, path), path)
 

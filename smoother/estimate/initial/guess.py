@@ -73,8 +73,8 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
     path = fit_path(session)
     is_measured = most_say_velocity(session.gnss.velocity_n)
     told = tell_motion(session, by_velocity=is_measured)
-    is_told = None if told.all() else near_told(session.gnss.t, told)
-    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_told)
+    is_reported = None if told.all() else near_told(session.gnss.t, told)
+    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_reported)
     alignment = align(session.imu, driven)
     is_steered = not alignment.is_misnamed and is_on_wheel(session.imu, session.gnss)
     if is_steered:

@@ -19,8 +19,8 @@ def busiest_part(start: Start, span: float) -> Start:
     inside = (driven.t >= t[0]) & (driven.t <= t[-1])
     if not np.any(inside):
         return start
-    is_told = None if driven.is_told is None else driven.is_told[inside]
-    driven = replace(driven, t=driven.t[inside], velocity_n=driven.velocity_n[inside], is_told=is_told)
+    is_reported = None if driven.is_reported is None else driven.is_reported[inside]
+    driven = replace(driven, t=driven.t[inside], velocity_n=driven.velocity_n[inside], is_reported=is_reported)
     begin, end = busiest_span(driven, start.spans, span)
     if end == driven.t[-1]:
         return start

@@ -53,7 +53,7 @@ class FieldFit:
     turned: float
 
     @property
-    def is_told(self) -> bool:
+    def is_reported(self) -> bool:
         """Whether the kart turned about enough to tell iron from the field."""
         return self.turned > TURNED
 

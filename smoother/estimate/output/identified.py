@@ -102,7 +102,7 @@ def field_values(heading: Heading | None, found: Estimated) -> dict[str, Identif
     value = found.state.constant("heading_offset")
     out = {"mag_heading_offset": _value(value, sigma, "rad", sigma < OBSERVABLE * heading.offset_sigma, False)}
     fit = heading.fit
-    if fit is None or not fit.is_told:
+    if fit is None or not fit.is_reported:
         return out
     seen = bool(np.all(fit.iron_sigma < OBSERVABLE * ANY_HARD_IRON * fit.strength))
     out["mag_hard_iron"] = _value(fit.iron.tolist(), fit.iron_sigma.tolist(), "of the readings", seen, False)

@@ -56,7 +56,7 @@
     const power = 10 ** Math.floor(Math.log10(rough));
     return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= rough);
   }
-  function ticks(low, high, most) { // one alone tells no scale: then finer ones
+  function ticks(low, high, most) { // a single one shows no scale: then finer ones
     const step = niceStep(high - low || 1, most);
     const out = [];
     for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-6; v += step) out.push(v);
@@ -235,7 +235,7 @@
   const PANELS = [
     { name: "speed", title: () => `speed (${state.unit})`, height: 170, scale: factor, sureOnly: true, least: 5 },
     { name: "delta", title: () => `time lost to ${data.against_name} (s), band: two sigma`, height: 140, sigma: "delta_sigma", least: 0.1 },
-    { name: "longitudinal", title: () => "driving + and braking − (g)", height: 120, scale: () => 1 / 9.80665, sureOnly: true, least: 0.5 },
+    { name: "longitudinal", title: () => "accelerating + and braking − (g)", height: 120, scale: () => 1 / 9.80665, sureOnly: true, least: 0.5 },
     { name: "sideways", title: () => "sideways (g), left +", height: 120, scale: () => 1 / 9.80665, sureOnly: true, least: 0.5 },
     { name: "sideslip", title: () => "sideslip (deg), + heading right of the path, band: two sigma", height: 130, sigma: "sideslip_sigma", least: 10 },
     { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
@@ -423,7 +423,7 @@
       make("path", { d: dots(right, forward), class: `points s${slot % 6}` }, inside);
     }
     for (const r of rings) write(svg, half + 0.7071 * r * scale + 3, half - 0.7071 * r * scale - 3, `${r} g`, "over");
-    write(svg, half, 14, "driving", "over", "middle");
+    write(svg, half, 14, "accelerating", "over", "middle");
     write(svg, half, size0 - 6, "braking", "over", "middle");
     write(svg, 4, half - 6, "left", "over");
     write(svg, size0 - 4, half - 6, "right", "over", "end");
