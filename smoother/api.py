@@ -214,9 +214,9 @@ def laps(
     the result is empty and its `problems` give the reason.
     """
     from smoother.laps.results import GivenLines
-    from smoother.laps.stage import Stated, analyse_rows, fix_path, options_on, stated, tracks_from
+    from smoother.laps.stage import Stated, analyse_rows, fix_path, options_on, read_stated, tracks_from
 
-    said = Stated() if folder is None else stated(session.config, folder, folder)
+    said = Stated() if folder is None else read_stated(session.config, folder, folder)
     if isinstance(line, str):
         said = Stated(tracks_from(line), said.official)
     options = replace(options_on(trajectory, session.origin, said), reference=reference)

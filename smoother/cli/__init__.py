@@ -7,7 +7,7 @@ from typing import NoReturn
 def main() -> None:
     """Run the command line and leave with its exit code.
 
-    It is imported here, as Ctrl-C in these first tenths of a second is no bug either.
+    The import is here, because Ctrl-C during it is no bug either.
     """
     try:
         from smoother.cli.main import main as run_and_leave
@@ -15,7 +15,7 @@ def main() -> None:
         run_and_leave()
     except KeyboardInterrupt:
         _leave_stopped()
-    except (ImportError, RuntimeError) as error:  # made of Ctrl-C by modules in C, and by classes in Python 3.11
+    except (ImportError, RuntimeError) as error:  # raised for Ctrl-C by C modules, and by classes in Python 3.11
         if not isinstance(error.__cause__, KeyboardInterrupt):
             raise
         _leave_stopped()

@@ -1,4 +1,4 @@
-"""What several commands share: exit codes, arguments and options, and the check that a session exists."""
+"""Exit codes, arguments and options of several commands, and the check that a session exists."""
 
 import difflib
 import math

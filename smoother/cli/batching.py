@@ -29,11 +29,11 @@ from smoother.cli.output import (
     number,
     open_page,
     plain,
+    print_json,
+    print_line,
+    print_pairs,
+    print_table,
     progress_on_terminal,
-    say,
-    say_json,
-    say_pairs,
-    say_table,
     warn,
 )
 from smoother.errors import UsageError
@@ -46,13 +46,13 @@ if TYPE_CHECKING:
     from smoother.batch.task import Limits, Task
 
 EXIT_BUG = 1
-INDEX_EVERY = 20.0  # s between two versions of the index while sessions run, so that it can be looked at meanwhile
+INDEX_EVERY = 20.0  # s between two versions of the index while sessions run
 Show = Callable[["Task", "Outcome"], None]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Where and with what a batch runs."""
+    """Resources and output of a batch."""
 
     jobs: int
     scheduler: str | None
@@ -107,7 +107,7 @@ def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: b
     if as_json:
         from smoother.report.files import to_json
 
-        say_json(to_json(document))
+        print_json(to_json(document))
     else:
         show(document, str(directory / PAGE), str(directory / DOCUMENT))
     if open_it:
@@ -116,7 +116,7 @@ def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: b
 
 
 def _arguments(given: dict[str, Any]) -> tuple[str, ...]:
-    """The options of `smooth SESSION` that follow from ours."""
+    """The options of `smooth SESSION` that follow from those of the batch."""
     flags = [f"--{name.replace('_', '-')}" for name in ("no_baseline", "no_figures") if given[name]]
     pictures = () if given["pictures"] else ("--no-pictures",)
     return ("--rate", f"{given['rate']:g}", "--solver", given["solver"], *flags, *pictures)
@@ -141,10 +141,9 @@ def _title(folders: tuple[Path, ...]) -> str:
 
 @contextlib.contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """Let Ctrl-C, a closed terminal or a polite kill stop the batch at once and in order.
+    """Let Ctrl-C, a closed terminal or SIGTERM stop the batch at once and in order.
 
-    Ctrl-C too, although Python has a way for it: a library (polars) puts its own before that, under which a wait for a
-    session goes on to the end of the session.
+    Ctrl-C needs a handler too, because that of a library (polars) waits for the end of a session.
     """
 
     def stop(_: int, __: FrameType | None) -> None:
@@ -162,7 +161,7 @@ def _stopped_by_signals() -> Iterator[None]:
 
 
 def run(tasks: list[Task], plan: Plan, again: bool, quiet: bool) -> tuple[list[Entry], dict[str, Any]]:
-    """Smooth what is not finished; return all sessions and the index, which is also written now and then.
+    """Smooth the unfinished sessions; return all sessions and the index, which is also written every INDEX_EVERY s.
 
     Raises UsageError if the index cannot be written.
     """
@@ -174,16 +173,16 @@ def run(tasks: list[Task], plan: Plan, again: bool, quiet: bool) -> tuple[list[E
     try:
         _write(entries, plan)
         written = time.monotonic()
-        with contextlib.closing(_outcomes(waiting, plan)) as outcomes, _bar(len(tasks), len(waiting), quiet) as told:
+        with contextlib.closing(_outcomes(waiting, plan)) as outcomes, _bar(len(tasks), len(waiting), quiet) as report:
             for task, outcome in outcomes:
                 entries[task.session] = Entry(task, outcome)
-                told(task, outcome)
+                report(task, outcome)
                 if time.monotonic() - written > INDEX_EVERY:
                     _write(entries, plan)
                     written = time.monotonic()
     except KeyboardInterrupt as error:
         click.echo(err=True)  # behind the ^C of the terminal
-        if not again:  # one may have ended while it was stopped
+        if not again:  # a session may have finished while the batch was stopped
             entries |= {task.session: Entry(task, finished(task)) for task in _without_outcome(entries)}
         raise click.Abort(_stopped(list(entries.values()), again)) from error
     finally:
@@ -213,7 +212,7 @@ def _outcomes(tasks: list[Task], plan: Plan) -> Generator[tuple[Task, Outcome], 
 
 def _write(entries: dict[Path, Entry], plan: Plan) -> dict[str, Any]:
     from smoother.batch.index import write_index
-    from smoother.cli.places import unwritable
+    from smoother.cli.directories import unwritable
 
     try:
         return write_index(plan.directory, plan.title, list(entries.values()))
@@ -223,7 +222,7 @@ def _write(entries: dict[Path, Entry], plan: Plan) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _bar(sessions: int, waiting: int, quiet: bool) -> Iterator[Show]:
-    """Give a function that gets each session that ended: a bar on a terminal, and a line for each failure."""
+    """Yield a function to call with each finished session: a progress bar on a terminal, a line for each failure."""
     import sys
 
     from rich.console import Console
@@ -244,35 +243,35 @@ def _bar(sessions: int, waiting: int, quiet: bool) -> Iterator[Show]:
     with Bar(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
         line = bar.add_task("smoothing", total=sessions, completed=sessions - waiting)
 
-        def told(task: Task, outcome: Outcome) -> None:
+        def report(task: Task, outcome: Outcome) -> None:
             bar.update(line, advance=1)
             if outcome.code:
                 text = f"smooth: {plain(task.name)}: {plain(outcome.message)}"
                 bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
-        yield told
+        yield report
 
 
-# ---- saying ---------------------------------------------------------------------------------------------------------
+# ---- output ---------------------------------------------------------------------------------------------------------
 
 
 def show(document: dict[str, Any], page: str, index: str) -> None:
-    """Print what became of the sessions and the best laps; the path of the page is the last line."""
+    """Print the states of the sessions and the best laps; the path of the page is the last line."""
     from smoother.batch.page import STATES
 
     counts = dict(document["counts"])
     total = counts.pop("sessions")
     what = ", ".join(f"{counts[state]} {word}" for state, word in STATES.items() if counts.get(state))
     cpu = sum(session["cpu_s"] or 0.0 for session in document["sessions"] if not session["kept"])
-    say_pairs(document["title"], [("sessions", f"{total}: {what}"), ("processor", f"{cpu:.0f} s in this run")])
+    print_pairs(document["title"], [("sessions", f"{total}: {what}"), ("processor", f"{cpu:.0f} s in this run")])
     for track in document["tracks"]:
         for kind in ("karts", "drivers"):
             if track[kind]:
-                say("")
-                say_table(f"best laps of {kind}, {track['track']}", *_bests(track[kind], kind[:-1]))
-    say("")
-    say(index)
-    say(page)
+                print_line("")
+                print_table(f"best laps of {kind}, {track['track']}", *_bests(track[kind], kind[:-1]))
+    print_line("")
+    print_line(index)
+    print_line(page)
 
 
 def _bests(bests: list[dict[str, Any]], who: str) -> tuple[list[str], list[list[str]]]:
@@ -290,7 +289,7 @@ def _bests(bests: list[dict[str, Any]], who: str) -> tuple[list[str], list[list[
 
 
 def exit_code(entries: list[Entry]) -> int:
-    """Return 1 if this program failed anywhere, else 2 if any session was unusable, else 3 if any is doubtful, else 0.
+    """Return 1 if this program failed anywhere, else 2 if any session was unusable, else 3 if any was rejected, else 0.
 
     A session that was not run (the cluster has gone) counts as a failure.
     """

@@ -1,4 +1,4 @@
-"""`smooth calibrate DIR...`: find out the errors of the sensors, and write them where `smooth` finds them."""
+"""`smooth calibrate DIR...`: identify the errors of the sensors, and write calibration.toml."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import click
 
 from smoother.cli.arguments import EXIT_DONE, json_option, require_sessions, sessions_argument
-from smoother.cli.output import open_page, plain, progress_on_terminal, say, say_json, say_pairs, warn
-from smoother.cli.places import session_directory, unwritable
+from smoother.cli.directories import session_directory, unwritable
+from smoother.cli.output import open_page, plain, print_json, print_line, print_pairs, progress_on_terminal, warn
 from smoother.errors import SessionError, UsageError
 from smoother.words import MOST_DIGITS, sigma_digits
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from smoother.report.calibration_page import Section
 
 PAGE, FIGURES = "calibration.html", "calibration"
-MOST_COUNTING = 6  # significant digits of a number
+MOST_DIGITS_SHOWN = 6  # significant digits of a number
 
 
 @click.command(short_help="Calibrate the sensors; writes calibration.toml and a page of figures.")
@@ -67,10 +67,10 @@ def calibrate(
     if as_json:
         from smoother.report.files import to_json
 
-        say_json(to_json(_document(results)))
+        print_json(to_json(_document(results)))
     else:
         _show(results)
-        say(str(page))
+        print_line(str(page))
     if open_it:
         open_page(page)
     return EXIT_DONE
@@ -119,7 +119,7 @@ def _date(text: str | None) -> dt.date | None:
 
 
 def _write(results: Results, directory: Path, with_figures: bool) -> Path:
-    """Write calibration.toml and the page; return what a person opens first."""
+    """Write calibration.toml and the page; return the file to open first."""
     from smoother.calibration import FILE_NAME, load_calibration, load_notes, merged
 
     directory.mkdir(parents=True, exist_ok=True)
@@ -138,10 +138,10 @@ def _write(results: Results, directory: Path, with_figures: bool) -> Path:
 
 
 def _save(target: Path, calibration: Calibration, notes: Mapping[str, Mapping[str, object]]) -> None:
-    """Write calibration.toml, never half of it."""
+    """Write calibration.toml completely or not at all."""
     from smoother.calibration import save_calibration
 
-    # Written beside it first, so that a full disk does not leave half a calibration.
+    # First to a temporary file, because the disk may be full.
     temporary = target.with_suffix(".tmp")
     save_calibration(temporary, calibration, notes)
     temporary.replace(target)
@@ -179,7 +179,7 @@ def _section(outcome: Outcome, number: int, folder: Path) -> Section:
     return Section(f"{outcome.procedure} ({outcome.recording})", rows, comparisons, outcome.remarks, figure)
 
 
-# ---- saying ---------------------------------------------------------------------------------------------------------
+# ---- output ---------------------------------------------------------------------------------------------------------
 
 
 def _show(results: Results) -> None:
@@ -187,11 +187,11 @@ def _show(results: Results) -> None:
         pairs = [(value.name, _value_text(value)) for value in outcome.values]
         pairs += [(comparison.name, _comparison_text(comparison)) for comparison in outcome.comparisons]
         pairs += [("", remark) for remark in outcome.remarks]
-        say_pairs(f"{outcome.procedure} ({outcome.recording})", pairs)
-        say("")
+        print_pairs(f"{outcome.procedure} ({outcome.recording})", pairs)
+        print_line("")
     if results.refusals:
-        say_pairs("not calibrated", _refused(results))
-        say("")
+        print_pairs("not calibrated", _refused(results))
+        print_line("")
 
 
 def _refused(results: Results) -> list[tuple[str, str]]:
@@ -220,7 +220,7 @@ def _comparison_text(comparison: Comparison) -> str:
 
 
 def _before_and_after(comparison: Comparison) -> tuple[str, str]:
-    """Both with four digits of the larger; what is zero with these was removed to the accuracy of the recording."""
+    """Both values with four significant digits of the larger."""
     digits = sigma_digits(max(comparison.before, comparison.after))
     places = 2 if digits is None else digits + 2
     return _at_least(comparison.before, places, comparison.unit), _at_least(comparison.after, places, comparison.unit)
@@ -232,7 +232,7 @@ def _at_least(value: float, places: int, unit: str) -> str:
 
 
 def _with_sigma(value: Value) -> str:
-    """Numbers with their sigmas, as many digits as these allow, rows of a matrix apart; nothing for an unknown one."""
+    """Numbers with their sigmas, rows of a matrix on separate lines; empty for an unknown one."""
     import numpy as np
 
     values = np.atleast_1d(np.asarray(value.value, dtype=float))
@@ -249,11 +249,11 @@ def _with_sigma(value: Value) -> str:
 
 
 def _pair(value: float, sigma: float) -> str:
-    """A number and its sigma, this with two digits that count unless the number would have more than MOST_COUNTING."""
+    """A number and its sigma with two significant digits, unless the number would have more than MOST_COUNTING."""
     if not math.isfinite(sigma) or value == sigma == 0.0:
-        return f"{value:.{MOST_COUNTING}g}"
+        return f"{value:.{MOST_DIGITS_SHOWN}g}"
     before = math.floor(math.log10(abs(value))) + 1 if value else 0
-    most = min(max(0, MOST_COUNTING - before), MOST_DIGITS)
+    most = min(max(0, MOST_DIGITS_SHOWN - before), MOST_DIGITS)
     wanted = sigma_digits(sigma)
     digits = most if wanted is None else min(wanted, most)
     least = 10.0**-digits

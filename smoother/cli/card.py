@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from smoother.cli.directories import output_directory
 from smoother.cli.output import warn
-from smoother.cli.places import output_directory
 from smoother.errors import SessionError, UsageError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ Task = tuple[Path, Path | None]
 def tasks(path: Path, out: Path | None, number: int | None) -> list[Task]:
     """Return a session as it is, or each recording of a card (or the one with this number, from 1).
 
-    The results of each of several go into a folder of its name. Raises UsageError for a number there is not.
+    The results of each of several go into a folder of its name. Raises UsageError for a number that does not exist.
     """
     found = _recordings(path, number)
     if len(found) < 2:
@@ -53,13 +53,13 @@ def _files(path: Path, number: int | None) -> list[Path]:
 
 
 def _recordings(path: Path, number: int | None) -> list[LogFiles]:
-    """The recordings of a card, none for any other session. Raises UsageError for a number there is not."""
+    """The recordings of a card, empty for any other session. Raises UsageError for a number that does not exist."""
     from smoother.session.load import recordings
 
     try:
         found = recordings(path)
     except SessionError:
-        found = []  # what is wrong is said when the session is read
+        found = []  # errors are raised when the session is read
     if number is not None and not 1 <= number <= len(found):
         there = {0: "no recording", 1: "one recording"}.get(len(found), f"{len(found)} recordings")
         raise UsageError(f"{path}: holds {there} of the logger, so there is no --recording {number}")

@@ -1,4 +1,4 @@
-"""`smooth check SESSION...`: at the track, before the driver has left."""
+"""`smooth check SESSION...`: judge a recording at the track."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from smoother.cli.arguments import (
     sessions_argument,
 )
 from smoother.cli.card import each
-from smoother.cli.output import progress_on_terminal, say, say_json, say_pairs, warn
+from smoother.cli.output import print_json, print_line, print_pairs, progress_on_terminal, warn
 from smoother.cli.pipeline import naming, read, require_usable_beside
 from smoother.errors import SmootherError
 
@@ -45,7 +45,7 @@ def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> i
     outcomes = [_attempt(path, is_only=len(paths) == 1) for path in paths]
     if as_json:
         documents = [_document(outcome, path) for outcome, path in zip(outcomes, paths, strict=True)]
-        _say_documents(documents)
+        _print_documents(documents)
     for outcome, heading in zip(outcomes, _headings(outcomes, paths), strict=True):
         if isinstance(outcome, SmootherError):
             warn(str(outcome))
@@ -74,7 +74,7 @@ def _attempt(path: Path, is_only: bool) -> Check | SmootherError:
 
 
 def _headings(outcomes: Sequence[Check | SmootherError], paths: Sequence[Path]) -> list[str]:
-    """What stands above each block: the name of the session, its path where names repeat."""
+    """The heading of each block: the name of the session, its path where names repeat."""
     names = [
         str(path) if isinstance(one, SmootherError) else one.name for one, path in zip(outcomes, paths, strict=True)
     ]
@@ -82,11 +82,11 @@ def _headings(outcomes: Sequence[Check | SmootherError], paths: Sequence[Path]) 
 
 
 def _show(result: Check, heading: str) -> None:
-    say_pairs(heading, [(f"{_MARKS[f.level]:<4}  {f.topic}", f.text) for f in result.findings])
+    print_pairs(heading, [(f"{_MARKS[f.level]:<4}  {f.topic}", f.text) for f in result.findings])
     if result.is_good:
-        say("GOOD TO DRIVE, GPS only: no roll, pitch, sideslip" if result.is_gps_only else "GOOD TO DRIVE")
+        print_line("GOOD TO DRIVE, GPS only: no roll, pitch, sideslip" if result.is_gps_only else "GOOD TO DRIVE")
     else:
-        say("NOT GOOD TO DRIVE: " + "; ".join(result.reasons))
+        print_line("NOT GOOD TO DRIVE: " + "; ".join(result.reasons))
 
 
 def _document(outcome: Check | SmootherError, path: Path) -> dict[str, object]:
@@ -103,7 +103,7 @@ def _document(outcome: Check | SmootherError, path: Path) -> dict[str, object]:
     }
 
 
-def _say_documents(documents: list[dict[str, object]]) -> None:
+def _print_documents(documents: list[dict[str, object]]) -> None:
     from smoother.report.files import to_json
 
-    say_json(to_json(documents[0] if len(documents) == 1 else documents))
+    print_json(to_json(documents[0] if len(documents) == 1 else documents))

@@ -1,4 +1,4 @@
-"""The commands that have a name, each imported when it is meant: smoothing a session waits for no other command."""
+"""The commands that have a name, each imported when it is used, so that smoothing starts fast."""
 
 from importlib import import_module
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
-from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, say_columns
-from smoother.cli.lapping import documents_of, line_option, told, units_option
-from smoother.cli.output import number, open_page, plain, progress_on_terminal, say, say_json, warn
+from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, print_columns
+from smoother.cli.lapping import documents_of, line_option, stated_for, units_option
+from smoother.cli.output import number, open_page, plain, print_json, print_line, progress_on_terminal, warn
 from smoother.cli.overwriting import require_no_recording
 from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
@@ -59,24 +59,24 @@ def compare(
     """
     require_sessions(sessions, "smooth compare")
     if len(sessions) < 2:
-        raise UsageError("one session is given; `smooth compare A B` needs two or more")
+        raise UsageError("one session given; `smooth compare A B` needs two sessions or more")
     if out is not None:
         require_no_recording(out, sessions)
     wanted = None if line is None else tracks_from(line)
     with progress_on_terminal() as progress:
         found = [results_of(path, progress) for path in sessions]
         progress("comparing", 0.0)
-        said = told(sessions[0], wanted, None)
-        compared = compare_results(sessions, [directory for directory, _ in found], said, against)
+        stated = stated_for(sessions[0], wanted, None)
+        compared = compare_results(sessions, [directory for directory, _ in found], stated, against)
         page = written(out or found[0][0] / PAGE, compared)
     if as_json:
         from smoother.report.files import to_json
 
-        say_json(to_json(document(compared)))
+        print_json(to_json(document(compared)))
     else:
         show(compared, units)
-        say("")
-        say(str(page))
+        print_line("")
+        print_line(str(page))
     if open_it:
         open_page(page)
     return EXIT_DONE if all(passed for _, passed in found) else EXIT_QUALITY
@@ -96,12 +96,12 @@ def written(path: Path, compared: list[Compared]) -> Path:
 
 
 def compare_results(
-    sessions: Sequence[Path], directories: Sequence[Path], said: Stated, against: int | None
+    sessions: Sequence[Path], directories: Sequence[Path], stated: Stated, against: int | None
 ) -> list[Compared]:
     """Return all sessions on the reference line of the first, deltas against the best lap of all (or `against`).
 
     directories: where the results of each session are. Raises UsageError when the first has no laps, or another was
-    driven elsewhere.
+    recorded elsewhere.
     """
     from smoother.laps.stored import read_stored
     from smoother.report.compare_page import Compared
@@ -109,7 +109,7 @@ def compare_results(
     first = read_stored(directories[0])
     stored = [first, *(read_stored(directory, first.origin) for directory in directories[1:])]
     names = session_names(sessions, [one.document["session"] for one in stored])
-    own = analyse_rows(first.trajectory, first.fixes, options_on(first.trajectory, first.origin, said, first.drift))
+    own = analyse_rows(first.trajectory, first.fixes, options_on(first.trajectory, first.origin, stated, first.drift))
     if own.reference is None or own.statistics is None:
         raise UsageError(f"{names[0]}: holds no whole lap, so there is no reference line; name another session first")
     for name, other in zip(names[1:], stored[1:], strict=True):
@@ -126,7 +126,7 @@ def compare_results(
 
 
 def _require_same_place(name: str, first_name: str, other: Stored, own: LapAnalysis) -> None:
-    """Raise UsageError where a session never came near the track; the way home in a car is no other track."""
+    """Raise UsageError where a session never came near the track."""
     import numpy as np
 
     assert own.reference is not None
@@ -162,7 +162,7 @@ def _chosen(alone: Sequence[LapAnalysis], against: int | None) -> tuple[int, int
 
 
 def _reference_lap(name: str, stored: Stored, analysis: LapAnalysis, index: int) -> ReferenceLap | None:
-    """Lap `index` of a session, for all to be compared with."""
+    """Lap `index` of a session, as the reference of all."""
     from dataclasses import replace
 
     from smoother.laps.analysis import reference_lap_of
@@ -193,23 +193,23 @@ def document(compared: list[Compared]) -> dict[str, Any]:
 
 
 def show(compared: list[Compared], units: str) -> None:
-    """Print best laps, and sectors and corners of each session's best lap beside the best of all."""
+    """Print best laps, and sectors and corners of each session's best lap relative to the best of all."""
     for one in compared:
         if one.why_not:
             warn(f"{one.name}: {one.why_not}")
     starts = [start for one in compared if (start := one.start) is not None]
     zone = f", times of day in {local_zone(starts)}" if starts else ""
-    say_columns(f"best laps{zone}", *_best_table(compared, units))
+    print_columns(f"best laps{zone}", *_best_table(compared, units))
     for source in _sources(compared):
-        say(source)
-    say("")
-    say_columns(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared))
-    say("")
-    say_columns(f"slowest in the corner, {units}", *_speed_table(compared, units))
+        print_line(source)
+    print_line("")
+    print_columns(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared))
+    print_line("")
+    print_columns(f"slowest in the corner, {units}", *_speed_table(compared, units))
 
 
 def _sources(compared: list[Compared]) -> list[str]:
-    """Where the ± of the laps are from, a line each; with their sessions where they differ."""
+    """The sources of the ± of laps, one line each, with their sessions where they differ."""
     by_source: dict[str, list[str]] = {}
     for one in compared:
         if one.statistics is not None:
@@ -233,22 +233,22 @@ def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[l
     ]
     rows = []
     for one in compared:
-        said, laps = one.analysis.statistics, one.analysis.laps
-        lap = None if said is None or said.best_lap is None else laps[said.best_lap]
+        statistics, laps = one.analysis.statistics, one.analysis.laps
+        lap = None if statistics is None or statistics.best_lap is None else laps[statistics.best_lap]
         cells = ["-"] * (2 + sectors + 3)
-        if said is not None and lap is not None:
+        if statistics is not None and lap is not None:
             cells = [
-                lap_clock(said.best),
-                number(said.best_sigma, 3),
+                lap_clock(statistics.best),
+                number(statistics.best_sigma, 3),
                 *(lap_clock(float(t)) for t in lap.sector_time),
                 *["-"] * (sectors - len(lap.sector_time)),
-                lap_clock(said.theoretical),
-                "in noise" if said.spread == 0.0 else number(said.spread, 3),
+                lap_clock(statistics.theoretical),
+                "in noise" if statistics.spread == 0.0 else number(statistics.spread, 3),
                 number(lap.top_speed / SPEED_UNITS[units], 1),
             ]
         start = one.start
         started = "-" if start is None else local_time(start)
-        rows.append([started, str(0 if said is None else said.counted), *cells, one.name])
+        rows.append([started, str(0 if statistics is None else statistics.counted), *cells, one.name])
     return header, rows
 
 

@@ -1,4 +1,4 @@
-"""`smooth demo [DIR]`: from nothing to a smoothed session, for people who have no recording yet."""
+"""`smooth demo [DIR]`: simulate and smooth a session."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from pathlib import Path
 import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, Whole
-from smoother.cli.output import open_page, progress_on_terminal, say, warn
+from smoother.cli.directories import OUTPUT_DIRECTORY
+from smoother.cli.output import open_page, print_line, progress_on_terminal, warn
 from smoother.cli.pipeline import Options, smooth_session
-from smoother.cli.places import OUTPUT_DIRECTORY
 from smoother.cli.simulating import TRACKS, write
 from smoother.cli.tables import show_result
 
-PRESET, SEED = "kart", 2026  # the seed is a date, not a choice: nothing is tuned to it
-LAPSES = 4.0  # a km: a hobby driver's, so that there is something to be found in the corners
+PRESET, SEED = "kart", 2026  # the seed is a year; nothing is tuned to it
+LAPSES = 4.0  # mistakes a kilometre, so that corners show losses
 
 
 @click.command(short_help="No recording yet? Simulate one and smooth it.", epilog=ABOUT_EXIT)
@@ -35,7 +35,7 @@ LAPSES = 4.0  # a km: a hobby driver's, so that there is something to be found i
 def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool) -> int:
     """Simulate a kart session as the logger would record it into DIR [./demo], and smooth it into DIR/smoothed.
 
-    The last line says where the report is: open it in a browser. `smooth evaluate DIR` compares the result with the
+    The last line is the path of the report: open it in a browser. `smooth evaluate DIR` compares the result with the
     truth.
     """
     from smoother.sim.simulation import simulate_preset
@@ -47,7 +47,9 @@ def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool)
         result = smooth_session(directory, directory / OUTPUT_DIRECTORY, Options(), progress)
     if not result.quality.passed:
         warn(f"{directory}: the result failed its quality gate: {'; '.join(result.quality.reasons)}")
-    say(f"Simulated kart session (preset {PRESET}, seed {seed}) in {directory}, smoothed into {result.directory}")
+    print_line(
+        f"Simulated kart session (preset {PRESET}, seed {seed}) in {directory}, smoothed into {result.directory}"
+    )
     show_result(result)
     if open_it:
         open_page(result.main_file)

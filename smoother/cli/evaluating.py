@@ -20,20 +20,20 @@ from smoother.cli.arguments import (
     solver_option,
 )
 from smoother.cli.card import one
-from smoother.cli.output import number, progress_on_terminal, say_json, say_table, warn
+from smoother.cli.directories import session_directory
+from smoother.cli.output import number, print_json, print_table, progress_on_terminal, warn
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, naming, read
-from smoother.cli.places import session_directory
 
 if TYPE_CHECKING:
     from smoother.cli.output import Progress
     from smoother.estimate.quality import Quality
 
 SETTLED = 10.0  # s; attitude is also scored without them, as it needs motion to become known
-BESIDE, MOSTLY = 5.0, 0.5  # s beside the first and last row; share of a truth of which most is of another time
+BESIDE, MOSTLY = 5.0, 0.5  # s before the first and after the last row; share of a truth with other times
 LABELS = {"gps": "GPS alone", "baseline": "baseline", "smoother": "smoother"}
 Figures = dict[str, object]
 
-_ROWS = (  # what people read, key, digits
+_ROWS = (  # label, key, digits
     ("horizontal (m)", "horizontal_rms_m", 3),
     ("horizontal, at the fixes (m)", "horizontal_rms_at_fixes_m", 3),
     ("horizontal, over 1 s (m)", "relative_1s_rms_m", 3),
@@ -78,12 +78,12 @@ def evaluate(sessions: tuple[Path, ...], recording: int | None, solver: str, ski
     if as_json:
         from smoother.report.files import to_json
 
-        say_json(to_json(documents[0] if len(documents) == 1 else documents))
+        print_json(to_json(documents[0] if len(documents) == 1 else documents))
     return EXIT_DONE if passed else EXIT_QUALITY
 
 
 def score(path: Path, options: Options, skip: float, progress: Progress) -> tuple[dict[str, Figures], Quality]:
-    """Return the figures of each estimator by its key in LABELS, and the smoother's verdict about itself."""
+    """Return the figures of each estimator by its key in LABELS, and the quality gate of the smoother."""
     from smoother import api
     from smoother.estimate.evaluate import at_fixes, without_doubtful_velocity
     from smoother.estimate.evaluate import evaluate as evaluate_against
@@ -91,14 +91,14 @@ def score(path: Path, options: Options, skip: float, progress: Progress) -> tupl
     progress("reading", 0.0)
     directory = session_directory(path)
     session = calibrated(read(path), directory)
-    told = api.read_truth(directory, session.origin)
-    truth = without_doubtful_velocity(told)
-    if truth is not told:
+    given = api.read_truth(directory, session.origin)
+    truth = without_doubtful_velocity(given)
+    if truth is not given:
         warn(f"{path}: the velocity in truth.csv contradicts its positions, so it is not used")
     estimates = estimate(session, options, Stopwatch(), progress)
     session, t = estimates.session, estimates.smoothed.t
     outside = float(((truth.t < t[0] - BESIDE) | (truth.t > t[-1] + BESIDE)).mean())
-    if MOSTLY < outside < 1.0:  # of all, an error tells
+    if MOSTLY < outside < 1.0:  # without any overlap there is an error
         warn(f"{path}: {outside:.0%} of truth.csv lie outside the session; are its times on the session's clock, in s?")
     trajectories = {"gps": api.gps_alone(session, options.rate), "smoother": estimates.smoothed}
     if estimates.baseline is not None:
@@ -127,7 +127,7 @@ def _show(path: Path, document: dict[str, Figures]) -> None:
         cells = [_float(figures[key]) for figures in document.values()]
         rows.append([text, *(number(None if cell is None else cell * factor, digits) for cell in cells)])
     rows.append(["NEES (honest: its dimension)", *(_nees(figures["nees"]) for figures in document.values())])
-    say_table(f"{path}: rms error against truth.csv", ["", *(LABELS[name] for name in document)], rows)
+    print_table(f"{path}: rms error against truth.csv", ["", *(LABELS[name] for name in document)], rows)
 
 
 def _float(value: object) -> float | None:

@@ -9,9 +9,9 @@ import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, recording_option, require_sessions
 from smoother.cli.card import one
-from smoother.cli.output import progress_on_terminal, say, say_pairs, warn
+from smoother.cli.directories import unwritable
+from smoother.cli.output import print_line, print_pairs, progress_on_terminal, warn
 from smoother.cli.overwriting import require_no_recording
-from smoother.cli.places import unwritable
 from smoother.cli.results import results_of
 from smoother.errors import UsageError
 
@@ -59,7 +59,7 @@ def export(
         results, passed = results_of(one(session, recording), progress)
         progress("exporting", 0.0)
         written = write(results, form, out, rate, session)
-    say(str(written))
+    print_line(str(written))
     return EXIT_DONE if passed else EXIT_QUALITY
 
 
@@ -76,13 +76,13 @@ def write(results: Path, form: str, out: Path | None, rate: float | None, sessio
     path = results / f"{source.file_name}{chosen.ending}" if out is None else out
     if path.is_dir():
         path = path / f"{source.file_name}{chosen.ending}"
-    require_no_recording(path, (session,))  # the name of the file in a folder is known only now
+    require_no_recording(path, (session,))  # only now the name of the file is known
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         chosen.write(source, path)
     except OSError as error:
         raise UsageError(str(unwritable(path, error)).replace("--out DIR", "--out FILE")) from error
-    if not source.has_utc and form != "tum":  # which has the times of the session either way
+    if not source.has_utc and form != "tum":  # whose times are those of the session
         warn(f"{path.name}: the time of day is not known; times count from the start")
     return path
 
@@ -90,4 +90,4 @@ def write(results: Path, form: str, out: Path | None, rate: float | None, sessio
 def _list() -> None:
     from smoother.export.formats import FORMATS
 
-    say_pairs("smooth export SESSION FORMAT", [(form.name, f"{form.text} ({form.ending})") for form in FORMATS])
+    print_pairs("smooth export SESSION FORMAT", [(form.name, f"{form.text} ({form.ending})") for form in FORMATS])

@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from smoother.cli.output import number, say, say_pairs
+from smoother.cli.output import number, print_line, print_pairs
 from smoother.laps.clock import chance_text, lap_clock, local_time, local_zone, spread_text
 from smoother.units import KMH, MPH
 from smoother.words import SLOWER_WHERE, counted, loss_digits
@@ -35,19 +35,19 @@ def show_laps(
     if laps:
         if clock is not None:
             title += f", times of day in {local_zone(clock.at(lap['start_s']) for lap in laps)}"
-        say_columns(title, *lap_table(laps, analysis, clock, units))
+        print_columns(title, *lap_table(laps, analysis, clock, units))
     odd = [("laps" if i == 0 else "", f"{p['text']} [{p['code']}]") for i, p in enumerate(analysis["problems"])]
     if pairs := [*figures(analysis), *_sectors(laps), *odd]:
-        say_pairs("", pairs)
+        print_pairs("", pairs)
 
 
-def say_columns(title: str, header: list[str], rows: list[list[str]]) -> None:
+def print_columns(title: str, header: list[str], rows: list[list[str]]) -> None:
     """Print a table whose numbers are never cut, however narrow the terminal: first and last column to the left."""
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    say(title)
+    print_line(title)
     for row in (header, *rows):
         cells = [cell.rjust(width) for cell, width in zip(row[:-1], widths[:-1], strict=True)]
-        say("  ".join([*cells, row[-1]]).rstrip())
+        print_line("  ".join([*cells, row[-1]]).rstrip())
 
 
 def lap_table(
@@ -63,7 +63,7 @@ def lap_table(
     best = (analysis["statistics"] or {}).get("best_s")
     rows = []
     for lap in laps:
-        is_best = lap["lap"] == (analysis["statistics"] or {}).get("best_lap")  # of itself there is no gap
+        is_best = lap["lap"] == (analysis["statistics"] or {}).get("best_lap")  # without a gap to itself
         gap = None if best is None or is_best or not lap["valid"] else lap["lap_time_s"] - best
         row = [
             str(lap["lap"]),
@@ -87,7 +87,7 @@ def lap_table(
 
 def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
     """Return names and values of the figures below the table."""
-    line, said = analysis["start_line"], analysis["statistics"]
+    line, summary = analysis["start_line"], analysis["statistics"]
     pairs = []
     if line is not None:
         named = f"of {analysis['track']}" if analysis["track"] else "given"
@@ -95,12 +95,17 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
             line["source"], named
         )
         pairs.append(("line", f"{where}, lap {analysis['length_m']:.0f} m"))
-    if said is not None and said["counted"]:
+    if summary is not None and summary["counted"]:
         pairs += [
-            ("best", f"{lap_clock(said['best_s'])} ± {number(said['best_sigma_s'], 3)} (lap {said['best_lap']})"),
-            *([("theoretical", theoretical)] if (theoretical := _theoretical(said)) else []),
-            *([("rolling best", _rolling(said))] if _is_known(said["rolling_s"]) else []),  # runs from A to B have none
-            ("consistency", _consistency(said)),
+            (
+                "best",
+                f"{lap_clock(summary['best_s'])} ± {number(summary['best_sigma_s'], 3)} (lap {summary['best_lap']})",
+            ),
+            *([("theoretical", theoretical)] if (theoretical := _theoretical(summary)) else []),
+            *(
+                [("rolling best", _rolling(summary))] if _is_known(summary["rolling_s"]) else []
+            ),  # point-to-point runs have none
+            ("consistency", _consistency(summary)),
         ]
     if lost := analysis.get("largest_losses"):
         pairs.append(("most lost", _most_lost(lost[0])))
@@ -112,11 +117,11 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _sectors(laps: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    """How sure the sectors of laps that count are against those of the best, which is how a driver compares them."""
+    """Median sigma of the difference of each sector from that of the best lap."""
     known: list[list[float]] = []
     while laps and f"sector{len(known) + 1}_gap_sigma_s" in laps[0]:
         sigmas = [lap[f"sector{len(known) + 1}_gap_sigma_s"] for lap in laps if lap["valid"]]
-        known.append([sigma for sigma in sigmas if sigma])  # of the best against itself there is none
+        known.append([sigma for sigma in sigmas if sigma])  # that of the best lap is zero
     if len(known) < 2 or not all(known):
         return []
     typical = (f"S{i + 1} ± {number(statistics.median(sigmas), 3)}" for i, sigmas in enumerate(known))
@@ -144,7 +149,7 @@ def _most_lost(loss: dict[str, Any]) -> str:
 
 
 def _differences(loss: dict[str, Any], units: str) -> str:
-    """What was different where time was lost."""
+    """The differences from the reference lap where time was lost."""
     braked: list[str] = []
     slower: list[str] = []
     factor = SPEED_UNITS[units]
@@ -157,24 +162,26 @@ def _differences(loss: dict[str, Any], units: str) -> str:
     return ", ".join([*braked, *([f"slower by {', '.join(slower)}"] if slower else [])])
 
 
-def _theoretical(said: dict[str, Any]) -> str:
-    if not _is_known(said["theoretical_s"]):
+def _theoretical(summary: dict[str, Any]) -> str:
+    if not _is_known(summary["theoretical_s"]):
         return ""
-    text = f"{lap_clock(said['theoretical_s'])} ± {number(said['theoretical_sigma_s'], 3)}"
-    if said["theoretical_s"] - said["theoretical_raw_s"] > 0.0005:
-        return f"{text} ({chance_text(said['theoretical_s'], said['theoretical_raw_s'], said['best_s'])})"
+    text = f"{lap_clock(summary['theoretical_s'])} ± {number(summary['theoretical_sigma_s'], 3)}"
+    if summary["theoretical_s"] - summary["theoretical_raw_s"] > 0.0005:
+        return f"{text} ({chance_text(summary['theoretical_s'], summary['theoretical_raw_s'], summary['best_s'])})"
     return (
-        f"{text} (the best lap has all the best sectors)" if said["theoretical_s"] > said["best_s"] - 0.0005 else text
+        f"{text} (the best lap has all the best sectors)"
+        if summary["theoretical_s"] > summary["best_s"] - 0.0005
+        else text
     )
 
 
-def _rolling(said: dict[str, Any]) -> str:
-    text = f"{lap_clock(said['rolling_s'])} ± {number(said['rolling_sigma_s'], 3)}"
-    start, best = said["rolling_from_m"], said["theoretical_s"]
+def _rolling(summary: dict[str, Any]) -> str:
+    text = f"{lap_clock(summary['rolling_s'])} ± {number(summary['rolling_sigma_s'], 3)}"
+    start, best = summary["rolling_from_m"], summary["theoretical_s"]
     about = [f"from {start:.0f} m"] if _is_known(start) and start != 0.0 else []
-    if said["rolling_s"] - said["rolling_raw_s"] > 0.0005:
-        about.append(f"timed as {lap_clock(said['rolling_raw_s'])}, not corrected for chance")
-    if said["rolling_s"] < (best if _is_known(best) else said["best_s"]) - 0.0005:
+    if summary["rolling_s"] - summary["rolling_raw_s"] > 0.0005:
+        about.append(f"timed as {lap_clock(summary['rolling_raw_s'])}, not corrected for chance")
+    if summary["rolling_s"] < (best if _is_known(best) else summary["best_s"]) - 0.0005:
         about.append("may include parts of laps that do not count")
     return f"{text} ({'; '.join(about)})" if about else text
 
@@ -183,17 +190,19 @@ def _is_known(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
-def _consistency(said: dict[str, Any]) -> str:
-    count = said["counted"]
+def _consistency(summary: dict[str, Any]) -> str:
+    count = summary["counted"]
     if count == 1:
         return "1 lap counts; there is no other to compare it with"
-    text = f"{counted(count, 'lap')} count, {said['within_tenth'] - 1 or 'none'} of the others within 0.1 s of the best"
-    spread = spread_text(said["spread_s"], "")
+    text = (
+        f"{counted(count, 'lap')} count, {summary['within_tenth'] - 1 or 'none'} of the others within 0.1 s of the best"
+    )
+    spread = spread_text(summary["spread_s"], "")
     return f"{text}, spread {spread}" if spread else text
 
 
 def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: str) -> None:
-    """Print what every lap lost in each corner against the reference lap, and their median; `*`: real."""
+    """Print the time that every lap lost in each corner to the reference lap, and the median; `*`: real."""
     corners = analysis["corners"]
     if not corners:
         return
@@ -209,23 +218,23 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
     if any(cell != "-" for cell in usual):
         rows.append(["usual", *usual, "median of the other laps that count"])
     factor = SPEED_UNITS[units]
-    say("")
-    say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else may be chance)", header, rows)
+    print_line("")
+    print_columns(f"lost in each corner against {_against(analysis)}, s (* real, else may be chance)", header, rows)
     slowest = [["-" if (v := _slowest(c, analysis)) is None else number(v / factor, 1) for c in corners]]
-    say_columns(f"slowest in the corner on the best lap, {units}", [*header[1:-1], ""], [[*slowest[0], ""]])
+    print_columns(f"slowest in the corner on the best lap, {units}", [*header[1:-1], ""], [[*slowest[0], ""]])
 
 
 def show_losses(analysis: dict[str, Any], units: str) -> None:
-    """Print the largest real losses, or the likeliest where none is real, one a line, with what was different."""
+    """Print the largest real losses, or the likeliest where none is real, one a line, with the differences."""
     lost, likely = (analysis.get(name) or [] for name in ("largest_losses", "likely_losses"))
     if not (lost or likely):
         return
-    say("")
-    say(f"where time was {'lost' if lost else 'likely lost (none is certain)'}, against {_against(analysis)}")
+    print_line("")
+    print_line(f"where time was {'lost' if lost else 'likely lost (none is certain)'}, against {_against(analysis)}")
     lost = lost or likely
     for loss in lost:
         what = _differences(loss, units)
-        say(f"  {_most_lost(loss)}{': ' if what else ''}{what}")
+        print_line(f"  {_most_lost(loss)}{': ' if what else ''}{what}")
 
 
 def _against(analysis: dict[str, Any]) -> str:

@@ -18,12 +18,12 @@ from smoother.cli.arguments import (
     sessions_argument,
 )
 from smoother.cli.card import each
+from smoother.cli.directories import SUMMARY, session_directory
 from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps, show_losses
-from smoother.cli.output import Progress, progress_on_terminal, say_json
+from smoother.cli.output import Progress, print_json, progress_on_terminal
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, naming, read
-from smoother.cli.places import SUMMARY, session_directory
 from smoother.cli.results import results_of
-from smoother.laps.stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
+from smoother.laps.stage import LEAST_RATE, Stated, analyse_rows, read_stated, tracks_from
 
 if TYPE_CHECKING:
     from smoother.frames import Origin
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from smoother.utc_clock import UtcClock
 
 Document = dict[str, Any]
-SAME = 1e-5  # deg; a metre, which rows of stored results may move a line by that is found on them
+SAME = 1e-5  # deg; a metre, by which a line found on stored rows may differ
 
 line_option = click.option(
     "--line",
@@ -87,7 +87,7 @@ def laps(
     if as_json:
         from smoother.report.files import to_json
 
-        say_json(to_json(documents[0] if len(documents) == 1 else documents))
+        print_json(to_json(documents[0] if len(documents) == 1 else documents))
     return EXIT_DONE if passed else EXIT_QUALITY
 
 
@@ -95,7 +95,7 @@ def laps_of(
     path: Path, line: str | None, official: Path | None, progress: Progress
 ) -> tuple[Document, UtcClock | None, bool]:
     """Return laps and analysis as summary.json would hold them, the time of day, and whether the session passed."""
-    wanted = None if line is None else tracks_from(line)  # a line that cannot be used is said before minutes of work
+    wanted = None if line is None else tracks_from(line)  # an unusable line is an error before minutes of work
     with naming(path):
         return _laps_on(path, wanted, official, progress)
 
@@ -116,8 +116,8 @@ def _laps_on(
             passed,
         )
     stored = read_stored(directory)
-    said = told(path, wanted, official)
-    documents = documents_of(analysed(path, stored, said), stored.origin)
+    stated = stated_for(path, wanted, official)
+    documents = documents_of(analysed(path, stored, stated), stored.origin)
     is_newer = official is not None or _is_older(path, directory)
     if not is_newer and _are_on_same_lines(documents, document):  # the line that was given was not passed
         document["lap_analysis"]["problems"] = documents["lap_analysis"]["problems"]
@@ -125,15 +125,15 @@ def _laps_on(
     return documents, stored.clock, passed
 
 
-def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> Stated:
-    """Return what is known of a session's laps: what was typed, else what stands beside its files."""
+def stated_for(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> Stated:
+    """Return lines and official times of a session: those of the command line, else those beside its files."""
     from smoother.config import SessionConfig
     from smoother.laps.official import load_official
     from smoother.session.settings import load_settings
 
     directory = session_directory(path)
     settings = directory / "session.toml"
-    beside = stated(load_settings(settings) if settings.is_file() else SessionConfig(), directory, path)
+    beside = read_stated(load_settings(settings) if settings.is_file() else SessionConfig(), directory, path)
     return Stated(
         beside.tracks if tracks is None else tracks,
         beside.official if official is None else load_official(official),
@@ -142,16 +142,16 @@ def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> S
     )
 
 
-def analysed(path: Path, stored: Stored, said: Stated) -> LapAnalysis:
-    """Return the laps of stored results; rows too far apart to time on are estimated again, closer."""
+def analysed(path: Path, stored: Stored, stated: Stated) -> LapAnalysis:
+    """Return the laps of stored results; rows of too low a rate are estimated again."""
     from smoother.laps.stage import analyse_session, options_on
 
     if stored.rate < LEAST_RATE - 1.0:
         session = calibrated(read(path), session_directory(path))
         estimates = estimate(session, Options(baseline=False, figures=False), Stopwatch())
-        return analyse_session(estimates.session, estimates.smoothed, said)  # clocks that step are mended there
+        return analyse_session(estimates.session, estimates.smoothed, stated)  # corrects clocks that step
     return analyse_rows(
-        stored.trajectory, stored.fixes, options_on(stored.trajectory, stored.origin, said, stored.drift)
+        stored.trajectory, stored.fixes, options_on(stored.trajectory, stored.origin, stated, stored.drift)
     )
 
 

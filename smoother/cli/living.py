@@ -1,4 +1,4 @@
-"""`smooth live PORT|FILE`: the box in your hand, on the screen."""
+"""`smooth live PORT|FILE`: attitude, position and lap times while the logger records."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from smoother.cli.arguments import EXIT_DONE, EXIT_UNUSABLE, Number, Whole
-from smoother.cli.output import Progress, progress_on_terminal, say_json, warn
+from smoother.cli.output import Progress, print_json, progress_on_terminal, warn
 from smoother.errors import UsageError
 from smoother.words import counted
 
@@ -84,7 +84,7 @@ def live(
             "check the speed (--baud) and that its CONFIG.TXT has stream=200. "
             "To play a file of a card, name it: smooth live FILE"
         )
-    return EXIT_DONE if recorder is None or _say_recorded(recorder, came > 0) else EXIT_UNUSABLE
+    return EXIT_DONE if recorder is None or _report_recorded(recorder, came > 0) else EXIT_UNUSABLE
 
 
 def _bytes(count: int) -> str:
@@ -93,8 +93,8 @@ def _bytes(count: int) -> str:
     return f"{count / 1e3:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
 
 
-def _say_recorded(recorder: Recorder, has_come: bool) -> bool:
-    """Say what was written down; return whether that is all that came."""
+def _report_recorded(recorder: Recorder, has_come: bool) -> bool:
+    """Report the recorded data; return whether all received data was recorded."""
     status, path = recorder.status, recorder.path
     if status.flaw:
         kept = f"{path} holds the first {_bytes(status.bytes_written)}" if status.bytes_written else "nothing is kept"
@@ -117,7 +117,7 @@ def _speed(text: str) -> float:
 
 @contextlib.contextmanager
 def _stopping(seconds: float | None) -> Iterator[Callable[[], bool]]:
-    """Give a function that says when to stop: after `seconds`, on Ctrl-C, or when asked to end."""
+    """Yield a function that returns whether to stop: after `seconds`, on Ctrl-C or SIGTERM."""
     import time
 
     asked: list[int] = []
@@ -132,7 +132,7 @@ def _stopping(seconds: float | None) -> Iterator[Callable[[], bool]]:
 
 
 class _Lines:
-    """The view without one: a line of JSON a second, or nothing but how far it is and what is waited for."""
+    """The view without a display: a line of JSON a second, or progress only."""
 
     def __init__(self, as_json: bool, source: Source, progress: Progress) -> None:
         self._as_json, self._source, self._progress = as_json, source, progress
@@ -143,18 +143,18 @@ class _Lines:
         from smoother.live.document import line_of, news_of
         from smoother.live.sources import ReplaySource
 
-        self._tell_waiting(frame.link)
+        self._report_connection(frame.link)
         share = self._source.share if isinstance(self._source, ReplaySource) else 0.0
         # the smoother goes on at the end of a file, and so does the time that is shown
         self._progress(f"{self._source.name} {frame.snapshot.t:.0f} s, {frame.snapshot.stage}", 0.99 * share)
         before, self._news = self._news, news_of(frame) if self._as_json else ""
         if self._as_json and not (frame.link.is_over and self._news == before):  # at the end the smoother goes on
-            say_json(line_of(frame))
+            print_json(line_of(frame))
             sys.stdout.flush()
         return True
 
-    def _tell_waiting(self, link: LinkStatus) -> None:
-        """Say once what is wrong with a connection that is not there, and again when it was there and was lost."""
+    def _report_connection(self, link: LinkStatus) -> None:
+        """Report a missing connection once, and again whenever it is lost."""
         if link.is_open:
             self._has_told = False
         elif link.error and not self._has_told:
@@ -168,7 +168,7 @@ class _Lines:
 def _view(kind: str, headless: bool, as_json: bool, source: Source) -> Iterator[View]:
     name = source.name
     if headless:
-        # a terminal that shows the lines has no room for how far it is
+        # not on a terminal that shows the lines
         with progress_on_terminal(not (as_json and sys.stdout.isatty())) as progress:
             yield _Lines(as_json, source, progress)
         return

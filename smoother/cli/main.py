@@ -1,4 +1,4 @@
-"""The entry point: which command is meant, and the one place where errors become a line and an exit code."""
+"""The entry point: selects the command, and turns errors into a line and an exit code."""
 
 import errno
 import gc
@@ -12,32 +12,32 @@ import click
 from smoother import threads
 from smoother.cli.arguments import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE
 from smoother.cli.commands import COMMAND_NAMES, named_command
-from smoother.cli.output import print_to_nobody, warn
+from smoother.cli.output import discard_output, warn
 from smoother.cli.smoothing import smooth
 from smoother.errors import SmootherError, UsageError
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # what a system says where nothing more goes into a file
-GARBAGE_EVERY = 300_000  # objects made and not freed, thrice those of libraries; Python's own 700 suits small programs
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # errors of a full disk
+GARBAGE_EVERY = 300_000  # allocated objects, three times those of the libraries, in place of the default of 700
 
 
 def main() -> None:
     """Run the command line and leave with its exit code.
 
-    Libraries make a hundred thousand objects as they start, of which none ever is garbage: to go through them again and
-    again, and once more at the end, took a tenth of the time of smoothing a session.
+    Libraries allocate a hundred thousand objects that are never garbage; collecting them repeatedly took a tenth of the
+    time of smoothing a session.
     """
     threads.start_none()
     gc.set_threshold(GARBAGE_EVERY)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that knows no ± still gets its table
+            stream.reconfigure(errors="replace")  # for terminals without ±
     code = run(sys.argv[1:])
     gc.freeze()
     sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line and return its exit code; only bugs leave as exceptions, with their traceback."""
+    """Run one command line and return its exit code; only bugs raise, with their traceback."""
     command, rest, name = choose(list(arguments) or ["--help"])
     try:
         _require_words(arguments)
@@ -54,26 +54,26 @@ def run(arguments: Sequence[str]) -> int:
         warn(str(error) or "stopped")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        print_to_nobody(sys.stdout)  # keeps Python from complaining about it at exit
+        discard_output(sys.stdout)  # keeps Python from complaining about it at exit
         return EXIT_DONE
     except OSError as error:
-        if error.errno not in FULL or error.filename is not None:  # of files with names, their writers tell
+        if error.errno not in FULL or error.filename is not None:  # writers of named files raise errors of their own
             raise
         warn(f"what is printed cannot be written ({error.strerror})")
     return EXIT_UNUSABLE
 
 
 def _require_words(arguments: Sequence[str]) -> None:
-    """Raise UsageError for an empty argument: a path that is none would be the folder one stands in."""
+    """Raise UsageError for an empty argument, which as a path would be the current folder."""
     if "" in arguments:
         raise UsageError("an argument is empty; is a variable not set that should hold a name?")
 
 
 def choose(arguments: list[str]) -> tuple[click.Command, list[str], str]:
-    """Return the command that is meant, its arguments, and its name for messages.
+    """Return the selected command, its arguments, and its name for messages.
 
     A path that exists is a session whatever its name, so `smooth demo` smooths ./demo when it is there. When more words
-    follow, or options that only the command knows, the command is meant: `smooth check demo` checks ./demo.
+    follow, or options that only the command knows, the command is selected: `smooth check demo` checks ./demo.
     """
     word = arguments[0]
     if word not in COMMAND_NAMES:

@@ -1,7 +1,7 @@
-"""What the command line says: results on stdout, progress and warnings on stderr, never a stray control character.
+"""Output of the command line: results on stdout, progress and warnings on stderr, without control characters.
 
 Tables with several columns and progress are drawn by rich, which is imported when it is needed, as it is slow to start.
-Lines and pairs, which every command prints, do without.
+Lines and pairs, which every command prints, do not use it.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Progress = Callable[[str, float], None]
-"""Told the name of a stage and the share (0..1) of it that is done."""
-OPENING = 3.0  # s in which a browser that cannot be opened is known
-NAME_COLUMNS, GUTTER = 12, "  "  # of pairs: the least width of names (and of values), and what stands between
+"""Called with the name of a stage and its finished share (0..1)."""
+OPENING = 3.0  # s after which the browser is assumed to be open
+NAME_COLUMNS, GUTTER = 12, "  "  # of pairs: the least width of names (and of values), and the gap between
 
 
 def no_progress(stage: str, share: float) -> None:
-    """Say nothing."""
+    """Report nothing."""
 
 
 def plain(text: object) -> str:
@@ -37,32 +37,32 @@ def plain(text: object) -> str:
     return "".join(c if c.isprintable() else " " for c in str(text))
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print one line on stdout, unwrapped."""
     click.echo(plain(text))
 
 
-def say_json(document: str) -> None:
+def print_json(document: str) -> None:
     """Print a JSON document on stdout."""
     click.echo(document, nl=not document.endswith("\n"))
 
 
 def warn(text: str) -> None:
-    """Print one line on stderr; that nobody reads it, or its disk is full, changes nothing about what is done."""
+    """Print one line on stderr; a closed stream or a full disk is ignored."""
     try:
         click.echo(f"smooth: {plain(text)}", err=True)
     except OSError:
-        print_to_nobody(sys.stderr)
+        discard_output(sys.stderr)
 
 
 def open_page(path: Path) -> None:
-    """Show a page in the browser; where there is none, say so in a line."""
+    """Show a page in the browser; where there is none, print a line."""
     if sys.platform == "win32":
         click.launch(str(path))
         return
     opener = "open" if sys.platform == "darwin" else "xdg-open"
     try:
-        none = subprocess.DEVNULL  # what it tells is of its own search
+        none = subprocess.DEVNULL  # it reports on its own search
         is_open = subprocess.Popen([opener, str(path)], stdin=none, stdout=none, stderr=none).wait(OPENING) == 0
     except subprocess.TimeoutExpired:  # the browser itself
         is_open = True
@@ -72,7 +72,7 @@ def open_page(path: Path) -> None:
         warn(f"no browser found; open {path}")
 
 
-def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
+def print_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
     """Print a title and, below it, names with their values in two columns; long values are wrapped."""
     rows = [(plain(name), plain(value)) for name, value in pairs]
     width = shutil.get_terminal_size().columns - len(GUTTER)
@@ -90,11 +90,11 @@ def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
 
 
 def _styled(text: str, **style: bool) -> str:
-    """Text as a terminal shows it, where it can; click takes the style away where there is no terminal."""
+    """Styled text; click removes the style where there is no terminal."""
     return click.style(text, **style) if text.strip() and os.environ.get("TERM") not in ("dumb", "unknown") else text
 
 
-def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
+def print_table(title: str, header: list[str], rows: list[list[str]]) -> None:
     """Print a table: the first column to the left, the others to the right."""
     from rich.table import Table
     from rich.text import Text
@@ -107,25 +107,25 @@ def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
     _console().print(table)
 
 
-def print_to_nobody(stream: TextIO) -> None:
-    """Print to nowhere from here on: the reader of our stdout has gone (`smooth .. | head`), or of our stderr."""
+def discard_output(stream: TextIO) -> None:
+    """Discard all further output to a stream whose reader has gone (`smooth .. | head`)."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _console() -> Console:
-    """A console that lets the one error boundary decide what a closed pipe means."""
+    """A console that raises BrokenPipeError for a closed pipe, which `main` handles."""
     from rich.console import Console
 
-    class OurConsole(Console):
+    class PipeConsole(Console):
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
-    return OurConsole(highlight=False)
+    return PipeConsole(highlight=False)
 
 
 @contextlib.contextmanager
 def progress_on_terminal(wanted: bool = True) -> Iterator[Progress]:
-    """Give a function that draws a progress line on stderr, if that is a terminal, and removes it at the end."""
+    """Yield a function that draws a progress line on stderr, if that is a terminal, and removes it at the end."""
     if not wanted or sys.stderr is None or not sys.stderr.isatty():  # None: closed (`2>&-`)
         yield no_progress
         return

@@ -1,11 +1,11 @@
-"""What a command must not write over: what a person recorded, and the results that others are made from."""
+"""Files that a command must not overwrite: recordings, and results that other results depend on."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from smoother.cli.places import BASELINE, RESULT_FILES, holds_results
+from smoother.cli.directories import BASELINE, RESULT_FILES, holds_results
 from smoother.errors import UsageError
 from smoother.laps.stage import LAPS
 
@@ -13,9 +13,9 @@ REMEDY = "name another file with --out"
 
 
 def require_no_recording(out: Path, sessions: Sequence[Path]) -> None:
-    """Raise UsageError where the file `out` is one that a session is read from, or holds a recording, or results.
+    """Raise UsageError where the file `out` belongs to a session, or holds a recording, or results.
 
-    A file of the name that an earlier export wrote is none of these.
+    An earlier export may be overwritten.
     """
     if not out.is_file():
         return

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from smoother import api
-from smoother.cli.output import Progress, no_progress, plain, warn
-from smoother.cli.places import (
+from smoother.cli.directories import (
     BASELINE,
     FIGURE_NAMES,
     FIGURES,
@@ -28,13 +27,14 @@ from smoother.cli.places import (
     exports_in,
     holds_results,
     output_directory,
-    say_removed,
     session_directory,
     unwritable,
+    warn_removed,
 )
+from smoother.cli.output import Progress, no_progress, plain, warn
 from smoother.documents import staged
 from smoother.errors import ConfigError, SessionError, SmootherError, UsageError
-from smoother.laps.stage import Stated, analyse_session, stated, steps
+from smoother.laps.stage import Stated, analyse_session, read_stated, steps
 from smoother.units import KMH
 from smoother.words import duration
 
@@ -50,9 +50,9 @@ SHOWN_ROWS = 600_000  # three hours at 50 Hz; a day is drawn with six rows a sec
 
 @dataclass(frozen=True)
 class Options:
-    """How a session is smoothed: `rate` in Hz of the rows; solver batch or isam2; whether to add the extras.
+    """Options of smoothing: `rate` in Hz of the rows; solver batch or isam2; which extras are written.
 
-    figures : the report and, unless `pictures` is off, its figures as files, which take half as long as all the rest.
+    figures : the report and, unless `pictures` is off, its figures as files, which take half as long again.
     """
 
     rate: float = 50.0
@@ -78,7 +78,7 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """What was made of a session, still in memory. smoothed has the rows laps are timed on, `every` n-th is written.
+    """The estimates of a session, in memory. smoothed has the rows laps are timed on, `every` n-th is written.
 
     files : bytes of every file that lay there, by :func:`files_beside`.
     """
@@ -99,7 +99,7 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What was made of a session, on disk: `main_file` is what a person opens first."""
+    """The results of a session, on disk: `main_file` is the one to open first."""
 
     document: dict[str, object]
     quality: Quality
@@ -110,14 +110,14 @@ class Result:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Say in errors about the files of a session which session that is: gps.csv becomes a/run1/gps.csv."""
+    """Name the session in errors about its files: gps.csv becomes a/run1/gps.csv."""
     try:
         yield
     except (SessionError, ConfigError) as error:
         text, directory = str(error), session_directory(path)
         file, colon, rest = text.partition(":")
-        said = tuple(str(SmootherError(str(place))) for place in (path, directory))  # as errors write names
-        if Path(file).is_absolute() or text.startswith(said):
+        names = tuple(str(SmootherError(str(name))) for name in (path, directory))  # as errors write names
+        if Path(file).is_absolute() or text.startswith(names):
             raise
         if colon and file and (directory / file).exists():
             named = f"{directory / file}:{rest}"
@@ -140,7 +140,7 @@ def read(path: Path) -> RawSession:
 
 
 def require_recording(path: Path) -> None:
-    """Raise UsageError for a folder of results or a file in one: tables of ours look like fixes, with no error left."""
+    """Raise UsageError for a folder of results or a file in one: its tables could be read as fixes."""
     if holds_results(session_directory(path)):
         what = "holds results, not a recording" if path.is_dir() else "is inside results and is no recording"
         raise UsageError(f"{path}: {what}; name the folder it was made from")
@@ -169,18 +169,17 @@ def calibrated(raw: RawSession, directory: Path) -> Session:
 
 
 def require_usable_beside(raw: RawSession, path: Path) -> None:
-    """Raise SmootherError where what lies beside a recording would keep it from being smoothed: a calibration, a track
-    or official times that cannot be read."""
+    """Raise SmootherError where a calibration, a track or official times beside a recording cannot be read."""
     from smoother.calibration import find_calibration, load_calibration
 
     directory = session_directory(path)
     if (calibration := find_calibration(directory)) is not None:
         load_calibration(calibration)
-    stated(raw.config, directory, path)
+    read_stated(raw.config, directory, path)
 
 
 def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
-    """Run smoother and baseline, and judge the result; its session has the times that were found."""
+    """Run smoother and baseline, and judge the result; its session has the corrected times."""
     from smoother.disc import settle
 
     with watch.stage("smoothing"):
@@ -198,7 +197,7 @@ def estimate(session: Session, options: Options, watch: Stopwatch, progress: Pro
 
 
 def smooth_session(path: Path, out: Path | None, options: Options, progress: Progress = no_progress) -> Result:
-    """Smooth one session and write everything about it into `out`, by default as `usual_output`."""
+    """Smooth one session and write all results into `out`, by default as `usual_output`."""
     with naming(path):
         return _smooth_session(path, out, options, progress)
 
@@ -210,9 +209,9 @@ def _smooth_session(path: Path, out: Path | None, options: Options, progress: Pr
         raw, files = read(path), files_beside(path)
     with watch.stage("preparing"):
         session = calibrated(raw, session_directory(path))
-        said = stated(session.config, session_directory(path), path)
+        stated = read_stated(session.config, session_directory(path), path)
     directory = output_directory(path, out, session.name)
-    estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
+    estimates = with_laps(estimate(session, options, watch, progress), stated, watch, progress)
     estimates = replace(estimates, files=files)
     earlier = [name for name in STALE if (directory / name).is_file()]
     exports = exports_in(directory)
@@ -226,20 +225,20 @@ def _smooth_session(path: Path, out: Path | None, options: Options, progress: Pr
     if other is not None:
         warn(f"{directory}: held the results of another recording ({other}), which were replaced; --out DIR keeps both")
     else:
-        say_removed(directory, [name for name in earlier if not (directory / name).exists()])
+        warn_removed(directory, [name for name in earlier if not (directory / name).exists()])
     if is_new:
         left = ", ".join(exports)
         warn(f"{directory}: {left} of an earlier run was kept and has its results; export again")
     return replace(result, directory=directory, main_file=directory / result.main_file.relative_to(staging))
 
 
-def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
+def with_laps(estimates: Estimates, stated: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
     """Add the laps."""
     from smoother.disc import settle
 
     progress("laps", 0.0)
     with watch.stage("laps"):
-        laps = analyse_session(estimates.session, estimates.smoothed, said)
+        laps = analyse_session(estimates.session, estimates.smoothed, stated)
         settle(estimates.smoothed)
         return replace(estimates, laps=laps)
 
@@ -283,7 +282,7 @@ def _write_figures(shown: Estimates | None, title: str, directory: Path, options
 
 
 def _write_page(shown: Estimates | None, directory: Path) -> Path:
-    """Write the report; return what a person opens first, which without figures is the table."""
+    """Write the report; return the file to open first, which without figures is the table."""
     if shown is None:
         return directory / TRAJECTORY
     from smoother.report.page import Report, write_page
@@ -294,7 +293,7 @@ def _write_page(shown: Estimates | None, directory: Path) -> Path:
 
 
 def _shown(estimates: Estimates) -> Estimates:
-    """The same as it is drawn: no more rows than pixels can show, even of a close-up."""
+    """The estimates with at most SHOWN_ROWS rows, for figures."""
     smoothed, baseline = estimates.smoothed, estimates.baseline
     few = smoothed.every(-(-len(smoothed) // SHOWN_ROWS))
     few_baseline = None if baseline is None else baseline.every(-(-len(baseline) // SHOWN_ROWS))

@@ -1,19 +1,19 @@
-"""Where the results of a session are, smoothed first when there are none or when something changed since."""
+"""The results of a session, which is smoothed first where they are missing or outdated."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from smoother.cli.directories import TRAJECTORY, holds_results, read_summary, usual_output
 from smoother.cli.output import Progress, no_progress, warn
 from smoother.cli.pipeline import Options, files_beside, require_recording, smooth_session
-from smoother.cli.places import TRAJECTORY, holds_results, read_summary, usual_output
 
 
 def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool]:
     """Return the directory of the results of a session, and whether they passed the quality gate.
 
     Smooths with the usual options where results are missing, of another recording in the same place, older than any
-    file of the session, or made from others than those that are there now.
+    file of the session, or made from other files.
     """
     require_recording(path)
     directory = usual_output(path)
@@ -33,11 +33,11 @@ def _is_current(path: Path, directory: Path, document: dict[str, object]) -> boo
 
     if not holds_results(directory):
         return False
-    files, told = list_files(path), document.get("session")
-    if not isinstance(told, dict) or told.get("name") != files.session_name():
+    files, about = list_files(path), document.get("session")
+    if not isinstance(about, dict) or about.get("name") != files.session_name():
         return False
     now, then = files_beside(path), document.get("files")
-    if then is not None and then != now:  # one came, went, or was replaced by one that is older
+    if then is not None and then != now:  # a file was added, removed, or replaced by an older one
         return False
     written = (directory / TRAJECTORY).stat().st_mtime
     return all((files.directory / name).stat().st_mtime <= written for name in now)

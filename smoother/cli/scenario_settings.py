@@ -1,6 +1,6 @@
 """`--set gnss.rate=10`: texts of the command line as values of the simulation's scenario, and the list of them all.
 
-The scenario's own dataclasses say which figures exist and of which type they are; nothing is listed here.
+Names and types are those of the scenario's dataclasses.
 """
 
 import dataclasses
@@ -50,7 +50,7 @@ def parsed(settings: Sequence[str]) -> dict[str, Any]:
 
 
 def listed(preset: str, seed: int, changes: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Name and value of every figure of a preset as drawn for `seed`, with `changes` made."""
+    """Name and value of every parameter of a preset as drawn for `seed`, with `changes` applied."""
     scenario = with_changes(draw_scenario(preset, np.random.default_rng(seed).spawn(2)[0]), changes)
     for name in _kinds():
         group, _, figure = name.rpartition(".")
@@ -59,7 +59,7 @@ def listed(preset: str, seed: int, changes: Mapping[str, Any]) -> Iterator[tuple
 
 
 def _kinds() -> dict[str, Any]:
-    """Type of every figure that a text can set."""
+    """Type of every parameter that a text can set."""
     kinds = {name: kind for name, kind in _fields(Scenario) if name not in (*GROUPS, "name", "track", "duration")}
     for group, owner in GROUPS.items():
         kinds |= {f"{group}.{name}": kind for name, kind in _fields(owner)}
@@ -145,7 +145,7 @@ def _truth_value(text: str) -> bool:
 
 
 def _shown(value: Any) -> str:
-    """A value as --set would take it."""
+    """A value in the form of --set."""
     if dataclasses.is_dataclass(value):
         separator = "," if isinstance(value, NmeaRounding) else ":"
         return separator.join(_shown(getattr(value, field.name)) for field in dataclasses.fields(value)).replace(

@@ -1,17 +1,17 @@
-"""What sessions are called where several stand side by side: short names, never the same one twice."""
+"""Short, unique names of several sessions."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-FIELDS = ("kart", "driver", "title")  # of session.toml, what tells sessions of a day apart first
+FIELDS = ("kart", "driver", "title")  # of session.toml, in the order in which they are tried
 
 
 def session_names(paths: Sequence[Path], abouts: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a name for each session: that of its folder or file where these differ.
 
-    Else what session.toml says of kart, driver or title, where that differs, else as many of the folders above as
+    Else kart, driver or title of session.toml where they differ, else as many of the folders above as
     make them differ. A session that is named twice gets a number. abouts: `session` of each summary.json.
     """
     places = [_place(path.resolve()) for path in paths]

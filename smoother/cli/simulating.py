@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from smoother.cli.arguments import Number, Whole
-from smoother.cli.output import progress_on_terminal, say, say_pairs
+from smoother.cli.output import print_line, print_pairs, progress_on_terminal
 from smoother.documents import staged
 from smoother.errors import UsageError
 from smoother.words import counted, duration
@@ -21,7 +21,7 @@ SIMULATED_FILES = (
     *("imu.csv", "gps.csv", "mag.csv", "wheel_speed.csv", "out.txt", "magcalib.txt", "LOG00001.KLG", "LOG00002.KLG"),
     *("truth.csv", "session.toml", "calibration.toml"),
 )
-MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simulation writes may be written over
+SIMULATION_MARK = "truth_laps.csv"  # marks a folder whose simulated files may be overwritten
 
 
 @click.command(short_help="Write a simulated session with its truth.")
@@ -55,7 +55,7 @@ def simulate(
 
     changes = {**_common_changes(choices), **parsed(settings)}
     if list_them:
-        say_pairs(f"preset {choices['preset']}", listed(choices["preset"], choices["seed"], changes))
+        print_pairs(f"preset {choices['preset']}", listed(choices["preset"], choices["seed"], changes))
         return 0
     if directory is None:
         raise UsageError("no folder given: smooth simulate DIR; see `smooth simulate --help`")
@@ -70,8 +70,8 @@ def simulate(
     raw, length = simulation.raw, duration(choices["duration"])
     samples = 0 if raw.imu is None else len(raw.imu.t)
     text = f"{length}, {counted(len(raw.gnss), 'fix')}, {counted(samples, 'IMU sample')}, seed {choices['seed']}"
-    say_pairs(raw.name, [("simulated", text)])
-    say(str(directory))
+    print_pairs(raw.name, [("simulated", text)])
+    print_line(str(directory))
     return 0
 
 
@@ -86,21 +86,21 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
     _require_nothing_else(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        # what is there of another format or with more sensors would be read with the new files: it goes
-        with staged(directory, MARK, SIMULATED_FILES) as staging:
+        # files of another format or of further sensors would be read with the new ones, so they are removed
+        with staged(directory, SIMULATION_MARK, SIMULATED_FILES) as staging:
             {"csv": write_csv, "klg": write_klg, "thesis": write_thesis}[form](simulation, staging)
             write_toml = write_settings if told else write_title
-            # a .KLG holds the delay itself, and the thesis' logger did not know it
+            # a .KLG holds the latency itself, and the thesis' logger did not know it
             write_toml(simulation, staging / "session.toml", states_delay=form == "csv")
     except OSError as error:
         raise UsageError(f"{directory}: cannot be written ({error.strerror or error}); name another folder") from error
 
 
 def _require_nothing_else(directory: Path) -> None:
-    """Raise UsageError where anything lies that an earlier simulation did not write.
+    """Raise UsageError where a folder has a recording that no simulation wrote.
 
-    Files of the same names would be overwritten; any other recording would be passed over from then on, since the
-    simulation is what is read first.
+    Files of the same names would be overwritten; any other recording would be ignored, since the simulation is read
+    first.
     """
     from smoother.session.files import list_files
 
@@ -108,15 +108,15 @@ def _require_nothing_else(directory: Path) -> None:
         return
     found = [path.name for path in list_files(directory).recordings()]
     found += [name for name in SIMULATED_FILES if (directory / name).exists()]
-    is_simulated = (directory / MARK).exists()
+    is_simulated = (directory / SIMULATION_MARK).exists()
     if foreign := [name for name in found if not (is_simulated and name in SIMULATED_FILES)]:
         raise UsageError(
-            f"{directory}: holds a recording ({foreign[0]}) that would be lost or passed over; name another folder"
+            f"{directory}: holds a recording ({foreign[0]}) that would be lost or ignored; name another folder"
         )
 
 
 def _common_changes(choices: dict[str, Any]) -> dict[str, Any]:
-    """The options for the figures that are changed most, as changes of the scenario."""
+    """The options for common parameters, as changes of the scenario."""
     named = {"imu_rate": "imu.rate", "gps_rate": "gnss.rate", "standstill": "motion.standstill"}
     changes = {key: choices[option] for option, key in named.items() if choices[option] is not None}
     changes |= {"imu": None} if choices["no_imu"] else {}

@@ -1,4 +1,4 @@
-"""`smooth SESSION...`: the command for which no name has to be typed."""
+"""`smooth SESSION...`: the command without a name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import tasks
 from smoother.cli.commands import COMMAND_NAMES, named_command
-from smoother.cli.output import open_page, print_to_nobody, progress_on_terminal, say_json, warn
+from smoother.cli.output import discard_output, open_page, print_json, progress_on_terminal, warn
 from smoother.cli.pipeline import Options, Result, smooth_session
 from smoother.cli.tables import show_result
 from smoother.errors import SmootherError
@@ -100,9 +100,9 @@ def smooth(
         try:
             _report(outcomes[-1], path, as_json, is_only=len(wanted) == 1)
         except BrokenPipeError:
-            print_to_nobody(sys.stdout)  # the results of the other sessions are wanted all the same
+            discard_output(sys.stdout)  # the other sessions are smoothed all the same
     if as_json:
-        say_json(_as_json([path for path, _ in wanted], outcomes))
+        print_json(_as_json([path for path, _ in wanted], outcomes))
     results = [outcome for outcome in outcomes if isinstance(outcome, Result)]
     if open_it and results:
         open_page(results[-1].main_file)
@@ -126,7 +126,7 @@ def output_directories(out: Path | None, sessions: tuple[Path, ...]) -> list[Pat
 
 
 def exit_code(outcomes: list[Result | SmootherError]) -> int:
-    """Return 2 if any session was unusable, else 3 if any result is not to be trusted, else 0."""
+    """Return 2 if any session was unusable, else 3 if the quality gate rejected any result, else 0."""
     if any(isinstance(outcome, SmootherError) for outcome in outcomes):
         return EXIT_UNUSABLE
     passed = all(outcome.quality.passed for outcome in outcomes if isinstance(outcome, Result))
@@ -134,7 +134,7 @@ def exit_code(outcomes: list[Result | SmootherError]) -> int:
 
 
 def _attempt(path: Path, directory: Path | None, options: Options, is_only: bool) -> Result | SmootherError:
-    """Smooth one session; of several, an unusable one must not keep the others from being smoothed."""
+    """Smooth one session; of several, an unusable one does not stop the others."""
     with progress_on_terminal() as progress:
         try:
             return smooth_session(path, directory, options, progress)

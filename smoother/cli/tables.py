@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from smoother.cli.lap_tables import show_laps
-from smoother.cli.output import number, say, say_pairs
+from smoother.cli.output import number, print_line, print_pairs
 from smoother.units import DEG, KMH
 from smoother.words import counted, duration, measured, repeated, speed_digits
 
@@ -36,15 +36,15 @@ _ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma", "mag_hard_iron", "ma
 
 
 def show_result(result: Result, path: Path | None = None) -> None:
-    """Print duration, distance, sigma, what was identified, problems and the verdict; last the file to look at.
+    """Print duration, distance, sigmas, identified constants, problems and the verdict; last the path of the report.
 
-    path: what the session was named by, above its rows where several are shown.
+    path: of the session, above its rows where several are shown.
     """
     from smoother.report.summary import is_reported
 
     document: Any = result.document
     about = document["session"]
-    pairs = [("driven", _driven(about)), ("recorded", _recorded(document))]
+    pairs = [("driven", _distance(about)), ("recorded", _recorded(document))]
     if document["sigma_median"]:
         pairs.append(("uncertainty", _sigma(document["sigma_median"])))
     pairs += _calibrated(document["calibration"])
@@ -58,12 +58,12 @@ def show_result(result: Result, path: Path | None = None) -> None:
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
     title = about.get("title")
     if path is None:
-        say_pairs(title or about["name"], pairs)
+        print_pairs(title or about["name"], pairs)
     else:
-        say_pairs(f"{path}: {title}" if title else str(path), pairs)
+        print_pairs(f"{path}: {title}" if title else str(path), pairs)
     if "lap_analysis" in document:
         show_laps(document["laps"], document["lap_analysis"], result.clock)
-    say(str(result.main_file))
+    print_line(str(result.main_file))
 
 
 _CALIBRATED = {
@@ -78,7 +78,7 @@ _CALIBRATED = {
 
 
 def _calibrated(applied: list[AppliedValue]) -> list[tuple[str, str]]:
-    """A row for each file that calibrated something, saying what."""
+    """A row for each calibration file with the calibrated quantities."""
     sources = dict.fromkeys(value.source for value in applied)
     texts = [
         f"{', '.join(_CALIBRATED[value.quantity] for value in applied if value.source == source)} (by {source})"
@@ -87,11 +87,11 @@ def _calibrated(applied: list[AppliedValue]) -> list[tuple[str, str]]:
     return [("calibrated" if i == 0 else "", text) for i, text in enumerate(texts)]
 
 
-def _driven(about: Any) -> str:
+def _distance(about: Any) -> str:
     kilometres, top = about["distance_m"] / 1000.0, about["top_speed_mps"] / KMH
     sigma = about.get("top_speed_sigma_mps")
-    sure = f" ± {sigma / KMH:.{speed_digits(sigma / KMH)}f}" if sigma is not None and math.isfinite(sigma) else ""
-    return f"{duration(about['duration_s'])}, {kilometres:.2f} km, top speed {top:.1f}{sure} km/h"
+    plus_minus = f" ± {sigma / KMH:.{speed_digits(sigma / KMH)}f}" if sigma is not None and math.isfinite(sigma) else ""
+    return f"{duration(about['duration_s'])}, {kilometres:.2f} km, top speed {top:.1f}{plus_minus} km/h"
 
 
 def _recorded(document: Any) -> str:
@@ -122,10 +122,10 @@ def _identified(name: str, identified: Identified) -> str:
     if name == "R_bs":
         return f"{_mounting(identified)} ({identified.source})"
     unit, factor, digits = _shown_unit(identified.unit)
-    told = known_axes(name, identified)
-    values = _scaled(identified.value, factor)[told]
+    shown = known_axes(name, identified)
+    values = _scaled(identified.value, factor)[shown]
     digits += 2 if max(map(abs, values)) < 0.1 else 0
-    text = _with_sigma(values, [] if identified.sigma is None else _scaled(identified.sigma, factor)[told], digits)
+    text = _with_sigma(values, [] if identified.sigma is None else _scaled(identified.sigma, factor)[shown], digits)
     axes = "" if name != "lever_arm_b" else " forward, left, up" if len(values) == 3 else " forward, left; up not known"
     return f"{text} {unit}{axes} ({identified.source})"
 
@@ -139,12 +139,12 @@ def _mounting(identified: Identified) -> str:
     from smoother.report.summary import mounting_angles
 
     angles, sigmas = mounting_angles(identified)
-    said = (_with_sigma([angle], sigmas[i : i + 1], 1) for i, angle in enumerate(angles))
-    return ", ".join(f"{name} {text}" for name, text in zip(("roll", "pitch", "yaw"), said, strict=True)) + " deg"
+    texts = (_with_sigma([angle], sigmas[i : i + 1], 1) for i, angle in enumerate(angles))
+    return ", ".join(f"{name} {text}" for name, text in zip(("roll", "pitch", "yaw"), texts, strict=True)) + " deg"
 
 
 def _shown_unit(unit: str) -> tuple[str, float, int]:
-    """Unit for people, its factor, and the digits of what has no sigma."""
+    """Displayed unit, its factor, and the digits of a value without sigma."""
     if unit.startswith("rad"):
         return unit.replace("rad", "deg", 1), 1.0 / DEG, 2
     return unit, 1.0, 3 if unit == "s" else 2

@@ -48,7 +48,7 @@ class Stated:
         self.tracks, self.official, self.own, self.problems = tracks, official, own, problems
 
 
-def stated(config: SessionConfig, directory: Path, recording: Path | None = None) -> Stated:
+def read_stated(config: SessionConfig, directory: Path, recording: Path | None = None) -> Stated:
     """Return what session.toml and official.csv say, and without a track the recording itself.
 
     Raises SmootherError when a file that is meant is unusable.

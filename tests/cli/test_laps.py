@@ -255,7 +255,7 @@ def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: 
         (["laps", "SESSION", "--line", "tinbran"], "did you mean tinbarn?"),
         (["laps", "SESSION", "--line", "gone.geojson"], "cannot be read"),
         (["laps", "SESSION", "--line", "1,2;1,2"], "the line is 0.0 m long"),
-        (["compare", "SESSION"], "needs two or more"),
+        (["compare", "SESSION"], "needs two sessions"),
         (["compare", "SESSION", "SESSION", "--against", "77"], "no lap 77"),
     ],
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from smoother.cli.output import open_page, say_pairs
+from smoother.cli.output import open_page, print_pairs
 
 TITLE = "monday \x1b[31m"
 PAIRS = [("driven", "10 min, " + "far " * 30), ("", "x" * 100), ("a name of more than twelve", "")]
@@ -18,7 +18,7 @@ def test_pairs_stand_in_two_columns_and_long_values_are_wrapped(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "70")
-    say_pairs(TITLE, PAIRS)
+    print_pairs(TITLE, PAIRS)
     title, *lines = capsys.readouterr().out.splitlines()
     width = len("a name of more than twelve")
     assert title == "monday  [31m"
@@ -33,7 +33,7 @@ def test_names_longer_than_half_a_line_are_wrapped_beside_their_values(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "60")
-    say_pairs("calibrated", [("a name " * 10, "a value " * 8), ("short", "one")])
+    print_pairs("calibrated", [("a name " * 10, "a value " * 8), ("short", "one")])
     _, *lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 60
     assert " ".join(line[:29].strip() for line in lines[:-1]) == ("a name " * 10).strip()
@@ -45,13 +45,13 @@ def test_a_terminal_too_narrow_for_a_value_still_gets_all_of_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "5")
-    say_pairs("", [("best", "52.689 ± 0.016 (lap 8)")])
+    print_pairs("", [("best", "52.689 ± 0.016 (lap 8)")])
     assert "".join(capsys.readouterr().out.split()) == "best52.689±0.016(lap8)"
 
 
 @pytest.mark.parametrize(("term", "is_styled"), [("xterm", True), ("dumb", False)])
 def test_only_a_terminal_that_knows_styles_is_sent_some(term: str, is_styled: bool) -> None:
-    code = f"from smoother.cli.output import open_page, say_pairs; say_pairs({TITLE!r}, [('name', 'value')])"
+    code = f"from smoother.cli.output import open_page, print_pairs; print_pairs({TITLE!r}, [('name', 'value')])"
     terminal, other_end = pty.openpty()
     subprocess.run([sys.executable, "-c", code], stdout=other_end, env=os.environ | {"TERM": term}, check=True)
     os.close(other_end)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from smoother.cli.directories import output_directory
 from smoother.cli.main import run
-from smoother.cli.places import output_directory
 from smoother.cli.smoothing import output_directories
 from smoother.errors import UsageError
 

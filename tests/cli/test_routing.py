@@ -9,8 +9,8 @@ import pytest
 from smoother.cli.checking import check
 from smoother.cli.commands import COMMAND_NAMES, named_command
 from smoother.cli.demo import demo
+from smoother.cli.directories import FIGURE_NAMES
 from smoother.cli.main import choose, run
-from smoother.cli.places import FIGURE_NAMES
 from smoother.cli.simulating import PRESETS, TRACKS
 from smoother.cli.smoothing import output_directories, smooth
 from smoother.sim import presets, track

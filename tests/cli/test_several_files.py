@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from smoother.batch.find import find_sessions
+from smoother.cli.directories import usual_output
 from smoother.cli.main import run
-from smoother.cli.places import usual_output
 
 QUICK = ["--no-figures", "--no-baseline"]
 Captured = pytest.CaptureFixture[str]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from smoother.config import SessionConfig
-from smoother.laps.stage import stated
+from smoother.laps.stage import read_stated
 
 VBO = """[header]
 time
@@ -25,4 +25,4 @@ def test_a_vbo_brings_its_lines(tmp_path: Path, named: str, beside: bool) -> Non
     (tmp_path / "heat.vbo").write_text(VBO)
     if beside:
         (tmp_path / "gps.csv").write_text(GPS)
-    assert len(stated(SessionConfig(), tmp_path, tmp_path / named).own) == 1
+    assert len(read_stated(SessionConfig(), tmp_path, tmp_path / named).own) == 1

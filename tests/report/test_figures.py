@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.patches import Rectangle
 
-from smoother.cli.places import FIGURE_NAMES
+from smoother.cli.directories import FIGURE_NAMES
 from smoother.frames import rotation_from_euler
 from smoother.report import figures, style
 from smoother.report.figures import FIGURES, Shown, overview, save_figures

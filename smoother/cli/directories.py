@@ -1,4 +1,4 @@
-"""Where results go, and what lies there already: nothing that somebody else made is written over or removed."""
+"""Directories of results. Files that this program did not write are neither overwritten nor removed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _HOLDS_RECORDING = "--out {}: holds a recording, its files would be overwritten;
 
 
 def holds_results(directory: Path) -> bool:
-    """Whether a directory holds what `smooth` writes about a session."""
+    """Whether a directory holds the results of a session."""
     return all((directory / name).is_file() for name in RESULT_FILES)
 
 
@@ -44,7 +44,7 @@ def usual_output(path: Path) -> Path:
 
 
 def read_summary(directory: Path) -> dict[str, object] | None:
-    """Return what a directory of results says of them, None where it is none."""
+    """Return the summary of a directory of results, None where it is none."""
     try:
         document = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -56,14 +56,14 @@ def output_directory(path: Path, out: Path | None, name: str) -> Path:
     """Create and return the directory of the results.
 
     A session on a locked card cannot take them: without `out` they then go to ./smoothed/NAME. Raises UsageError when
-    `out` holds a recording, which could not be read beside results, or somebody's files of the same names, or cannot be
+    `out` holds a recording, which could not be read beside results, or other files of the same names, or cannot be
     created.
     """
     source = session_directory(path)
     if out is not None:
         if out.resolve() == source.resolve():
             raise UsageError(_HOLDS_RECORDING.format(out))
-        _require_nothing_of_others(out)
+        _require_no_foreign_files(out)
         return _created(out)
     try:
         return _created(usual_output(path))
@@ -74,13 +74,13 @@ def output_directory(path: Path, out: Path | None, name: str) -> Path:
         return _created(instead)
 
 
-def _require_nothing_of_others(out: Path) -> None:
-    """Raise UsageError where a folder holds a recording, or files with the names of results that are none."""
+def _require_no_foreign_files(out: Path) -> None:
+    """Raise UsageError where a folder holds a recording, or foreign files with the names of results."""
     from smoother.session.inputs import is_recording
 
     if not out.is_dir():
         return
-    ours = (*RESULT_FILES, *STALE) if _is_of_results(out) else ()
+    ours = (*RESULT_FILES, *STALE) if _is_partial_result(out) else ()
     if any(is_recording(file) for file in sorted(out.iterdir()) if file.name not in ours):
         raise UsageError(_HOLDS_RECORDING.format(out))
     other = next((name for name in (*RESULT_FILES, *STALE) if name not in ours and os.path.lexists(out / name)), None)
@@ -88,8 +88,8 @@ def _require_nothing_of_others(out: Path) -> None:
         raise UsageError(f"--out {out}: holds {other}, which is not of this program; name another place")
 
 
-def _is_of_results(directory: Path) -> bool:
-    """Whether results were written into a folder, though not to their end perhaps: their rows go there first."""
+def _is_partial_result(directory: Path) -> bool:
+    """Whether results were written into a folder, perhaps incompletely: the rows are written first."""
     from smoother.session.tables import read_header
 
     try:
@@ -101,7 +101,7 @@ def _is_of_results(directory: Path) -> bool:
 def another_recording(directory: Path, raw: RawSession, is_renamed: bool) -> str | None:
     """Name of the recording whose results are in a directory, None if there are none or it is the same.
 
-    is_renamed : beside its recording, another name for the same files is that of a folder with a new name.
+    is_renamed : the results are beside their recording, in a folder that was renamed.
     """
     document = read_summary(directory)
     told = None if document is None else document.get("session")
@@ -129,8 +129,8 @@ def differ(one: Path, other: Path) -> bool:
     )
 
 
-def say_removed(directory: Path, names: list[str]) -> None:
-    """Say in one line which results of an earlier run are gone: they hold no more, but people may have wanted them."""
+def warn_removed(directory: Path, names: list[str]) -> None:
+    """Report in one line which outdated results of an earlier run were removed."""
     pictures = sum(name.startswith(f"{FIGURES}/") for name in names)
     parts = [name for name in names if not name.startswith(f"{FIGURES}/")]
     parts += [counted(pictures, "figure")] if pictures else []
@@ -140,7 +140,7 @@ def say_removed(directory: Path, names: list[str]) -> None:
 
 
 def unwritable(directory: Path, error: OSError) -> SmootherError:
-    """Return the error that says where results could not be written, and what to do."""
+    """Return the error about results that could not be written, with a remedy."""
     if isinstance(error, FileExistsError | NotADirectoryError) and (file := _in_the_way(directory)) is not None:
         return SessionError(
             f"{file}: a file, where a folder for the results is wanted; move it, or name another place with --out DIR"
@@ -156,7 +156,7 @@ def unwritable(directory: Path, error: OSError) -> SmootherError:
 
 
 def _in_the_way(directory: Path) -> Path | None:
-    """What has the name of a directory, or of one above it, and is none."""
+    """A file with the name of the directory or of one above it."""
     places = (directory, *directory.parents)
     return next((place for place in places if os.path.lexists(place) and not place.is_dir()), None)
 
