@@ -6,7 +6,6 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.session.checks.columns import FixRows
-from smoother.session.checks.heights import height_jumps, impossible_heights
 from smoother.session.checks.table import Check, Finding, dropped
 from smoother.session.checks.velocity import VELOCITY_CHECKS
 from smoother.session.fix_columns import ESTIMATED, FixColumns, metres, sent_speed, way_from_before
@@ -387,6 +386,4 @@ PATH_CHECKS = (
         ("num_sv",),
         partial(impossible, "num_sv", "number of satellites", 0.0, ABSURD_SATELLITES - 1.0),
     ),
-    Check("gps_height_impossible", "fixes", ("alt_m",), impossible_heights),
-    Check("gps_height_jump", "fixes", ("alt_m",), height_jumps),
 )

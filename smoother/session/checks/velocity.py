@@ -1,34 +1,32 @@
 """Checks of the velocity that a receiver sends, held against the positions it sends with it.
 
-A speed in another unit, a column that stands still while the kart drives, a course that points elsewhere: the positions
-are right without them, and the column is not used. A velocity that agrees is left as it is.
+A speed in another unit, a course that points elsewhere: the positions are right without them, and the column is not
+used. A velocity that agrees is left as it is. Over a second, noise of the positions is less than what a kart does; how
+much there is of it, the calmest steps show.
 """
 
-from collections.abc import Callable, Iterator
-from functools import partial
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, runs_of
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.session.checks.columns import FixRows
-from smoother.session.checks.deadband import zeros_of_slow
-from smoother.session.checks.heights import heights_in_feet, wrong_climb
 from smoother.session.checks.table import Check, Finding
-from smoother.session.checks.way_steps import (
-    BASELINE,
-    FASTER,
-    FEWEST_STEPS,
-    NOISE_TIMES,
-    STUCK_ROWS,
-    STUCK_TIME,
-    Steps,
-    distance,
-    steps_of,
-)
 from smoother.session.fix_columns import FixColumns, metres, sent_speed
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
 
+FEWEST_STEPS = 20  # by which velocities are judged
+BASELINE = 1.0  # s; over less, noise of the positions counts
+FASTER = 5.0  # m/s; and in slower motion
+LEAST_TIME = 10.0  # s of steps that tell a direction
+CALM = 25.0  # per cent of the rows in which noise shows alone
+# m/s over BASELINE for that percentile of roughness, m: a Rayleigh deviate of 0.759 sigmas, of which a weighted sum of
+# four positions has sqrt(20) / 3, and the difference of two sqrt(2)
+NOISE_OF_CALM = math.sqrt(2.0) / (0.759 * math.sqrt(20.0) / 3.0) / BASELINE
+NOISE_TIMES = 2.5  # noise of a step: slower or closer to the column than that, it tells nothing
 UNIT_RATIOS = {  # what speeds in one unit are, read as another, in true ones
     "km/h": 1.0 / KMH,
     "mph": 1.0 / MPH,
@@ -43,17 +41,79 @@ ABSURD_SHARE = 10.0  # and more are speeds that are said to be impossible
 SAME_SPEED_OF_CHORDS = 1.5  # likewise where positions come no faster than BASELINE: a chord is shorter than its bend
 ENOUGH_STEPS = 2000  # evenly taken from a long session
 MOVING = 1.0  # m/s; slower, receivers leave the course empty
-FEWEST_RENEWED, RENEWED_ALIKE = 30, 0.8  # velocities, and share of them that are repeated as often as most
-STUCK_SHARE = 0.25  # of the positions against it: a stuck course is right once a lap, a jump of positions is short
-SPEED_OFF = (2.0, 0.15)  # m/s and share of what the positions say, which over BASELINE are noisy by less
 COURSE_OFF = 45.0  # deg; a bend within the delay between velocity and position mostly makes less
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, -0.25, -0.5)  # s by which velocities come behind their positions, or before them
-AXES_ALIKE = 1.1  # times one another; latitude and longitude exchanged make 1.4 at 45 degrees, 1.1 at 17 of both
 COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
 
 
-LEVEL = ("speed", "course_deg", "velocity_north", "velocity_east")
 DIRECTION = ("course_deg", "velocity_north", "velocity_east", "velocity_up")
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Displacement over about BASELINE from each row (N,): m/s north and east; `whole` where there is one.
+
+    speed (N,) m/s: of the way by the row in the middle; round a tight bend that is longer than straight across.
+    roughness (N,) m: how far positions are off a parabola through their neighbours.
+    """
+
+    t: Array  # s, half way
+    north: Array
+    east: Array
+    speed: Array
+    whole: BoolArray
+    roughness: Array
+
+    def noise(self, rows: BoolArray | slice) -> float:
+        """Noise, m/s per axis, of a step in these rows, by the calmest of them: bends are no parabolas either."""
+        return float(np.percentile(self.roughness[rows], CALM, method="nearest")) * NOISE_OF_CALM
+
+    def told(self, noise: float) -> BoolArray:
+        """Mask (N,) of the steps that say where the kart goes, and how fast."""
+        return self.whole & (np.hypot(self.north, self.east) > max(FASTER, NOISE_TIMES * noise))
+
+    def angle_from(self, course_deg: Array | float) -> Array:
+        """How far (N,) deg, 0 to 180, the displacement points from the course (N,) half way."""
+        return np.asarray(np.abs(np.mod(self._course_deg - course_deg + 180.0, 360.0) - 180.0))
+
+    @property
+    def _course_deg(self) -> Array:
+        return np.degrees(np.arctan2(self.east, self.north))
+
+
+def steps_of(t: Array, c: FixColumns) -> Steps:
+    """Return the steps of the positions of fixes at t (N,) s, in order."""
+    north, east = metres(c)
+    row = np.arange(t.size)
+    last = np.minimum(np.searchsorted(t, t + BASELINE), t.size - 1)
+    run = t[last] - t
+    whole = (run > 0.5 * BASELINE) & (run < 2.0 * BASELINE)
+    size = np.where(whole, run, 1.0)
+    v_north, v_east = (north[last] - north) / size, (east[last] - east) / size
+    middle = (row + last) // 2
+    halves = (np.hypot(north[two] - north[one], east[two] - east[one]) for one, two in ((row, middle), (middle, last)))
+    return Steps(t + 0.5 * run, v_north, v_east, sum(halves) / size, whole, _roughness(t, north, east))
+
+
+def _roughness(t: Array, north: Array, east: Array) -> Array:
+    """How far (N,) m the position half a BASELINE on is off the parabola through three others; 0 at the end."""
+    stride = max(1, round(0.5 * BASELINE / float(np.median(np.diff(t))))) if t.size > 1 else 1
+    count = max(0, t.size - 3 * stride)
+    one, *others = (slice(k * stride, k * stride + count) for k in (1, 0, 2, 3))
+    off = np.zeros((2, t.size))
+    off[:, :count] = north[one], east[one]
+    for at in others:  # Lagrange's form of the parabola
+        weight = np.ones(count)
+        for root in others:
+            if root != at:
+                weight *= (t[one] - t[root]) / (t[at] - t[root])
+        off[:, :count] -= weight * np.stack([north[at], east[at]])
+    return np.asarray(np.hypot(*off))
+
+
+def distance(north: Array, east: Array, first: IntArray, last: IntArray) -> Array:
+    """Straight from rows first to rows last (M,) of positions (N,) m."""
+    return np.asarray(np.hypot(north[last] - north[first], east[last] - east[first]))
 
 
 def no_course(f: FixRows) -> Finding | None:
@@ -112,103 +172,6 @@ def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
     return (float(share) if high < 1.25 * low else float("nan")), highest
 
 
-def stuck(names: tuple[str, ...], f: FixRows) -> Finding | None:
-    """Columns that repeat one value while the positions say something else."""
-    c = f.columns
-    steps, values = steps_of(c.t, c), np.column_stack([getattr(c, name) for name in names])
-    stands = _stuck(c.t, steps, values, _off(steps, c, names[0]))
-    count = int(np.count_nonzero(stands))
-    if not count:
-        return None
-    what, shown = names[0].partition("_")[0], ", ".join(f"{value:g}" for value in values[np.argmax(stands)])
-    text = f"{what} stands at {shown} in {counted(count, 'row')} while the positions move otherwise; not used there"
-    return Finding(text, count, blank=dict.fromkeys(names, stands))
-
-
-def _off(steps: Steps, c: FixColumns, name: str) -> Callable[[float], BoolArray]:
-    """By the noise of the steps, m/s: which of them (N,) are farther off the column than bends and noise make them."""
-    if name == "course_deg":
-        off = (steps.angle_from(c.course_deg) > COURSE_OFF) & ~_says_slow(c)
-        return lambda _: off
-    if name == "speed":
-        by = np.abs(steps.speed - c.speed)
-    else:
-        by = np.hypot(steps.north - c.velocity_north, steps.east - c.velocity_east)
-    least = np.maximum(SPEED_OFF[0], SPEED_OFF[1] * steps.speed)
-    return lambda noise: np.asarray(by > np.maximum(least, NOISE_TIMES * noise))
-
-
-def _says_slow(c: FixColumns) -> BoolArray:
-    """Mask (N,) of the rows by whose speed the kart hardly moves: their course means nothing and may be an old one."""
-    speed = sent_speed(c)
-    return np.asarray(speed < 0.5 * FASTER)
-
-
-def _stuck(t: Array, steps: Steps, values: Array, off: Callable[[float], BoolArray]) -> BoolArray:
-    """Mask (N,) of the rows of `values` (N, M) in a long run of one value that the positions contradict."""
-    stuck = np.zeros(t.size, dtype=np.bool_)
-    for first, end in _runs(values):
-        if t[end - 1] - t[first] <= STUCK_TIME:
-            continue
-        noise = steps.noise(slice(first, end))
-        against = np.count_nonzero((steps.told(noise) & off(noise))[first:end])
-        stuck[first:end] = against > max(0.5 * STUCK_ROWS, STUCK_SHARE * (end - first))
-    return stuck
-
-
-def _runs(values: Array) -> Iterator[tuple[int, int]]:
-    """First row and the one behind the last of each run of at least STUCK_ROWS equal rows of `values` (N, M)."""
-    same = np.all(values[1:] == values[:-1], axis=1)  # never where they are NaN
-    for first, last in zip(*(index.tolist() for index in runs_of(same)), strict=True):
-        if last + 1 - first >= STUCK_ROWS:
-            yield first, last + 1
-
-
-def repeated(f: FixRows) -> Finding | None:
-    """Velocities that a receiver renews less often than its positions.
-
-    Each is then repeated as often, until the next one comes; what is merely coarse, or steady, is repeated now more
-    often and now less. The positions have to change from row to row. What stands for longer was measured anew each
-    time one was due: of a kart that stands, the zeros hold positions that have not settled.
-    """
-    c = f.columns
-    velocity = np.column_stack([getattr(c, name) for name in LEVEL])
-    same = (velocity[1:] == velocity[:-1]) | (np.isnan(velocity[1:]) & np.isnan(velocity[:-1]))
-    same = np.append(False, np.all(same, axis=1))
-    moves = np.append(True, (np.diff(c.lat_deg) != 0.0) | (np.diff(c.lon_deg) != 0.0))
-    begins = np.flatnonzero(~same)
-    if begins.size < FEWEST_RENEWED:
-        return None
-    lengths, is_moving = np.diff(begins), np.logical_and.reduceat(moves, begins)[:-1]
-    usual = float(np.median(lengths[is_moving])) if np.count_nonzero(is_moving) >= FEWEST_RENEWED else 1.0
-    if usual < 2.0 or np.mean(lengths[is_moving] == usual) < RENEWED_ALIKE:
-        return None
-    repeats = same & moves & np.any(np.isfinite(velocity), axis=1) & ~_are_due(begins, same.size, usual)
-    count = int(np.count_nonzero(repeats))
-    text = f"speed and course are new in one of {usual:.0f} rows only, and repeated in {counted(count, 'row')}"
-    return Finding(f"{text}; not used there", count, blank=dict.fromkeys((*LEVEL, "velocity_up"), repeats))
-
-
-def _are_due(begins: IntArray, n: int, usual: float) -> BoolArray:
-    """Mask (n,) of the rows in which a new value is due every `usual` rows, in runs that begin at rows `begins`.
-
-    A rest that is no more than half as long is of a value that came late, not of another.
-    """
-    length = np.diff(np.append(begins, n))
-    run = np.repeat(np.arange(begins.size), length)
-    place = np.arange(n) - begins[run]
-    return np.asarray((place % usual == 0.0) & (length[run] - place > 0.5 * usual))
-
-
-def exchanged(f: FixRows) -> Finding | None:
-    """Components that agree with the positions once north and east are exchanged."""
-    steps, _, said, off = _course_off(f.columns)
-    if not off > COURSE_OFF or not _are_exchanged(steps, f.columns, said & np.isfinite(f.columns.velocity_north)):
-        return None
-    text = "by its positions its velocities north and east are exchanged; taken as such"
-    return Finding(text, swap=("velocity_north", "velocity_east"))
-
-
 def wrong_course(f: FixRows) -> Finding | None:
     """A direction that mostly is another than that in which the positions go."""
     c = f.columns
@@ -222,6 +185,12 @@ def wrong_course(f: FixRows) -> Finding | None:
     return Finding(text, blank=dict.fromkeys(DIRECTION, every))
 
 
+def _says_slow(c: FixColumns) -> BoolArray:
+    """Mask (N,) of the rows by whose speed the kart hardly moves: their course means nothing and may be an old one."""
+    speed = sent_speed(c)
+    return np.asarray(speed < 0.5 * FASTER)
+
+
 def _course_off(c: FixColumns) -> tuple[Steps, Array, BoolArray, float]:
     """Steps of the way, course (N,) deg that is sent, which steps say where the kart goes, and how far off it is, deg;
     NaN where too few say so."""
@@ -230,25 +199,9 @@ def _course_off(c: FixColumns) -> tuple[Steps, Array, BoolArray, float]:
     steps = steps_of(c.t, c)
     known = steps.whole & np.isfinite(course) & ~_says_slow(c)
     said = known & steps.told(steps.noise(known)) if np.any(known) else known
-    if np.count_nonzero(said) < FEWEST_STEPS or np.ptp(c.t[said]) < STUCK_TIME:
+    if np.count_nonzero(said) < FEWEST_STEPS or np.ptp(c.t[said]) < LEAST_TIME:
         return steps, course, said, np.nan
     return steps, course, said, _mostly_off(c.t, steps, course, said)
-
-
-def _are_exchanged(steps: Steps, c: FixColumns, told: BoolArray) -> bool:
-    """Whether components of velocity agree with the positions once north and east are exchanged; by the steps `told`.
-
-    Of latitude and longitude exchanged the directions agree as well; but what was taken for a degree of one is not as
-    long as one of the other, and the two components differ from their positions by different factors.
-    """
-    if np.count_nonzero(told) < FEWEST_STEPS:
-        return False
-    if _mostly_off(c.t, steps, np.degrees(np.arctan2(c.velocity_north, c.velocity_east)), told) > COURSE_ALIKE:
-        return False
-    pairs = ((steps.north, c.velocity_east), (steps.east, c.velocity_north))
-    with np.errstate(divide="ignore"):  # of a column that is 0 throughout
-        factors = [float(np.sqrt(np.mean(step[told] ** 2) / np.mean(sent[told] ** 2))) for step, sent in pairs]
-    return max(factors) < AXES_ALIKE * min(factors)
 
 
 def _mostly_off(t: Array, steps: Steps, course_deg: Array, told: BoolArray) -> float:
@@ -274,13 +227,5 @@ _OTHER_COURSES: dict[str, Callable[[Array], Array]] = {
 VELOCITY_CHECKS = (
     Check("gps_no_course", "fixes", ("speed",), no_course),
     Check("gps_speed_unit", "fixes", (), speed_unit),
-    Check("gps_speed_stuck", "fixes", ("speed",), partial(stuck, ("speed",))),
-    Check("gps_course_stuck", "fixes", ("course_deg",), partial(stuck, ("course_deg",))),
-    Check("gps_velocity_stuck", "fixes", ("velocity_north",), partial(stuck, ("velocity_north", "velocity_east"))),
-    Check("gps_speed_threshold", "fixes", (), zeros_of_slow),
-    Check("gps_velocity_repeated", "fixes", (), repeated),
-    Check("gps_velocity_exchanged", "fixes", ("velocity_north", "velocity_east"), exchanged),
     Check("gps_course_wrong", "fixes", (), wrong_course),
-    Check("gps_climb_wrong", "fixes", ("velocity_up", "alt_m"), wrong_climb),
-    Check("gps_height_unit", "fixes", ("velocity_up", "alt_m"), heights_in_feet),
 )
