@@ -27,7 +27,6 @@ RATES_TOGETHER = 1 << 16  # steps whose neighbours are looked at together
 IMU_BEFORE_FIXES, IMU_AFTER_FIXES = "imu_before_fixes", "imu_after_fixes"  # by the stamps of both, as they were read
 IMU_AXES_UNKNOWN, IMU_INCOMPLETE = "imu_axes_unknown", "imu_incomplete"  # codes of motion sensors that are not used
 DEAD_AXES = "imu_axis_dead"  # code of the problem that axes of the inertial sensor never change
-STUCK_AXES = "imu_axis_stuck"  # likewise, for a long part of the recording
 
 
 @dataclass(frozen=True)

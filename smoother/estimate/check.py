@@ -18,7 +18,6 @@ from smoother.samples import (
     DEAD_AXES,
     IMU_AXES_UNKNOWN,
     IMU_INCOMPLETE,
-    STUCK_AXES,
     GnssFixes,
     Problem,
     RawImu,
@@ -44,7 +43,7 @@ SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at al
 WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
 FARTHER_AWAY = "move the box farther from the engine"  # not onto something soft: what shakes by itself is not the kart
-_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES, STUCK_AXES)  # of the reader, judged below by themselves
+_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # of the reader, judged below by themselves
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     imu = _only_gnss(raw.problems) if gps_only else _check_imu(raw.imu, limits, _is_of(raw, _OWN_LOGGER))
     parts = [_check_gnss(raw.gnss, limits), imu, _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
-        parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu), _check_stuck(raw.problems)]
+        parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu)]
     judged = (*_JUDGED_HERE, *USELESS) if gps_only else _JUDGED_HERE
     notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
     findings = [finding for part in parts for finding in part.findings]
@@ -267,12 +266,6 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
 def _dead_axes(imu: RawImu) -> Iterator[Finding]:
     for sensor, axis in dead_axes(imu):
         yield Finding("stop", "IMU", f"the {axis} axis of the {sensor} never changes; check the wiring")
-
-
-def _check_stuck(problems: tuple[Problem, ...]) -> _Part:
-    """Axes that stop while the kart drives, as the reader found them: for these the gate fails a result, too."""
-    stuck = [problem.text.partition(": ")[2].partition(";")[0] for problem in problems if problem.code == STUCK_AXES]
-    return _Part([Finding("stop", "IMU", f"{text}; check the wiring") for text in stuck], {})
 
 
 def _check_mag(mag: RawMag | None) -> _Part:

@@ -14,7 +14,7 @@ from smoother.disc import release
 from smoother.estimate.fixes.path import GnssPathOptions
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
-from smoother.samples import DEAD_AXES, STUCK_AXES, Session
+from smoother.samples import DEAD_AXES, Session
 from smoother.trajectory import (
     MIRRORED_AXES,
     STATED,
@@ -145,7 +145,7 @@ def _named_reasons(session: Session, estimate: Trajectory) -> list[str]:
     if estimate.report.mode != "full":
         return anyway
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
-    dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code in (DEAD_AXES, STUCK_AXES)]
+    dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code == DEAD_AXES]
     return anyway + wrong + dead
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, is_increasing, median, runs_of
 from smoother.disc import pieces, release, roomy
 from smoother.samples import BESIDE, Problem, are_gaps, usual_step, usual_steps
-from smoother.session.utc_leaps import without_leaps
 from smoother.units import MICROSECOND
 from smoother.words import counted, span
 
@@ -378,7 +377,6 @@ def true_fix_times(t_receive: Array, unix_s: Array) -> tuple[Array, bool]:
     if np.count_nonzero(known) < FEWEST_FIXES:
         return t_receive, False
     utc = unix_s - unix_s[known][0]
-    utc[known] = without_leaps(t_receive[known], utc[known])
     delay = t_receive - utc
     odd = ~(np.abs(delay - median(delay[known])) < ODD_UTC)
     if np.mean(odd) > 0.5 or (line := _envelope(utc[~odd], delay[~odd])) is None:

@@ -1,28 +1,24 @@
 """The CSV form of a session: imu.csv and gps.csv to their types, with what was unusable counted."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from smoother.arrays import Array, median
+from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu
 from smoother.session.degrees import require_degrees
-from smoother.session.fix_columns import ESTIMATED, FixColumns
+from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.tables import NOTHING, Table, head_lines, names_of, read_table
-from smoother.session.time_unit import UNITS, in_seconds, require_seconds, unit_by_rate, unit_of_fixes
+from smoother.session.time_unit import in_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")
 EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
-WHOLE_SECOND = 1.0  # s, within which UTC without fractions stands still
-NMEA_ESTIMATED = 6  # quality of a fix that a receiver made up without satellites
-FEWEST_COARSE, COARSE_SHARE, MOSTLY_COARSE = 20, 0.2, 0.95  # rows; shares of them that share a stamp, and agree
-COARSEST = 1.5  # s from one stamp to the next; what is coarser is no want of decimals
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
 UTC_COLUMNS = ("unix_s", "utc_ms")  # beside utc, which is text
 OPTIONAL_FIX_COLUMNS = (
@@ -39,38 +35,31 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
 
 
 def read_imu_and_unit(path: Path, *, is_slow: bool = False) -> tuple[RawImu, list[Problem], str | None]:
-    """The same, and the unit that its times are in where it is not seconds.
-
-    is_slow : times are in seconds, however far apart they are.
-    """
+    """The same, and the unit that its times are in where it is not seconds; if `is_slow`, they are."""
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     problems = list(problems_of_table(table, "imu"))
     _require_numbers(path, "t_s", t)
     require_clock(path, t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
-    require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
     imu, of_rows = screen_imu(path.name, t, accel, gyro)
     return imu, [*problems, *said, *of_rows], unit
 
 
-def read_fixes(path: Path, imu_unit: str | None = None, *, is_alone: bool = False) -> tuple[GnssFixes, list[Problem]]:
+def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list[Problem]]:
     """Read gps.csv, columns as in the contract; maybe without a single usable fix.
 
-    imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds. is_alone : there
-    is no imu.csv.
+    imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds.
     """
     table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     for name in FIX_COLUMNS:
         _require_numbers(path, name, table.column(name))
     require_clock(path, t)
-    t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
-    t, finer = _finer_by_utc(t, unix_s, path.name)
+    t, said = in_seconds(t, unit_of_fixes(t, unix_s, imu_unit), "gps", path.name)
     sigma = _per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m"))
-    fix, said_of_quality = _quality(table, sigma)
     columns = FixColumns(
         t=t,
         lat_deg=table.column("lat_deg"),
@@ -86,42 +75,14 @@ def read_fixes(path: Path, imu_unit: str | None = None, *, is_alone: bool = Fals
         sigma_velocity=_per_axis(table, "sacc_mps", ("sacc_n_mps", "sacc_e_mps")),
         hdop=table.column("hdop"),
         num_sv=table.column("num_sv"),
-        fix=fix,
+        fix=table.column("fix"),
         unix_s=unix_s,
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
     require_degrees(path.name, columns)
-    fixes, problems = screen_fixes(columns, path.name, is_alone=is_alone)
-    of_columns = [*said, *finer, *said_of_utc, *said_of_quality]
+    fixes, problems = screen_fixes(columns, path.name)
+    of_columns = [*said, *said_of_utc]
     return fixes, [*problems_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
-
-
-def _finer_by_utc(t: Array, unix_s: Array, file: str) -> tuple[Array, list[Problem]]:
-    """Times t (N,) s of fixes by their UTC (N,) s where stamps want decimals and are shared, and what to say.
-
-    What is between the two in the mean stays: it is their delay. Rows whose stamp is not the UTC's stay as they are.
-    """
-    known = np.flatnonzero(np.isfinite(t) & np.isfinite(unix_s))
-    if known.size < FEWEST_COARSE:
-        return t, []
-    stamps, utc = t[known], unix_s[known]
-    later = np.diff(utc) > 0.0
-    shared = later & (np.diff(stamps) == 0.0)
-    if np.mean(later) < MOSTLY_COARSE or np.mean(shared) < COARSE_SHARE:
-        return t, []
-    tick = median(np.diff(stamps)[np.diff(stamps) > 0.0]) if np.any(np.diff(stamps) > 0.0) else np.inf
-    ahead = stamps - (utc - utc[0])
-    off = np.abs(ahead - median(ahead))
-    near = off <= tick
-    if not tick <= COARSEST or np.mean(near) < MOSTLY_COARSE:
-        return t, []
-    fine = t.copy()
-    fine[known[near]] = (utc - utc[0] + median(ahead))[near]
-    count = int(np.count_nonzero(shared))
-    text = (
-        f"{file}: {counted(count, 'row')} with the t_s of the row before, but later UTC; that is taken for their times"
-    )
-    return fine, [Problem("gps_coarse_time", text, count)]
 
 
 def _require_numbers(path: Path, column: str, values: Array) -> None:
@@ -188,52 +149,15 @@ def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:
     return np.where(np.isfinite(one), one, mean)
 
 
-def _quality(table: Table, sigma: Array) -> tuple[Array, list[Problem]]:
-    """Quality (N,) of the fixes, ESTIMATED where it is NMEA's word for that, and what to say of others of that word.
-
-    sigma (N,) m : of positions as told, which says more of an estimate, and of what other programs call 6.
-    """
-    fix = table.column("fix")
-    with np.errstate(invalid="ignore"):
-        estimated, is_reported = fix == NMEA_ESTIMATED, sigma > 0.0
-    count = int(np.count_nonzero(estimated & is_reported))
-    text = f"{table.file}: fix is {NMEA_ESTIMATED}, estimated, in {counted(count, 'row')}; as sure as hacc_m says"
-    said = [Problem("gps_estimated_used", text, count)] if count else []
-    return np.where(estimated & ~is_reported, ESTIMATED, fix), said
-
-
 def _unix_seconds(table: Table) -> tuple[Array, list[Problem]]:
     """The receiver's UTC in seconds since 1970, from whichever column has it, and what was wrong with it."""
-    (time, *others), problems = _without_standing(table, ("unix_s", "utc", "utc_ms"))
-    usual = median(time[np.isfinite(time)]) if np.any(np.isfinite(time)) else np.nan
-    unit = next((name for name, size in UNITS.items() if EARLIEST_UTC <= usual / size <= LATEST_UTC), None)
-    if unit is not None:  # no two units make a plausible date of one number
-        time = time / UNITS[unit]
-        problems.append(Problem("gps_utc_unit", f"{table.file}: unix_s is in {unit}; taken as such"))
-    for other in (others[0], others[1] / 1000.0):
+    time = table.column("unix_s")
+    for other in (table.column("utc"), table.column("utc_ms") / 1000.0):
         time = np.where(np.isfinite(time), time, other)
+    problems = []
     with np.errstate(invalid="ignore"):
         absurd = (time < EARLIEST_UTC) | (time > LATEST_UTC)
     if count := int(np.count_nonzero(absurd)):
         text = f"{table.file}: UTC of {counted(count, 'row')} is before 1980 or after 2100; not used"
         problems.append(Problem("gps_utc_absurd", text, count))
     return np.where(absurd, np.nan, time), problems
-
-
-def _without_standing(table: Table, names: Sequence[str]) -> tuple[list[Array], list[Problem]]:
-    """Columns of UTC (N,), unknown where one is the same in all rows that are more than a second apart; says so.
-
-    It is the time of the start, or of the file: taken for that of each fix, the clock would seem to run away from it.
-    """
-    columns, problems, t = [], [], table.column("t_s")
-    for name in names:
-        column = table.column(name)
-        known = np.isfinite(column) & np.isfinite(t)
-        times = column[known]
-        stands = times.size > 1 and np.ptp(t[known]) > WHOLE_SECOND and not np.any(times != times[0])
-        if stands and any(EARLIEST_UTC <= times[0] / size <= LATEST_UTC for size in (1.0, *UNITS.values())):
-            text = f"{table.file}: {name} is the same in all {times.size} rows; not used"
-            problems.append(Problem("gps_utc_stands", text, times.size))
-            column = np.full(table.length, np.nan)
-        columns.append(column)
-    return columns, problems

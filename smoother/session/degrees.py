@@ -25,11 +25,6 @@ FEWEST_WAYS = 20
 LEAST_WAY = 1.0  # m of each of them, by the velocity
 AGREES, DISAGREES = 0.3, 0.6  # of the way, off by less or more; a late fix in a hairpin is off by as much
 JUMP = 500.0  # m in BASELINE; no vehicle drives as far
-SURELY = 0.5  # times as far off as a course that counts from east: only how long degrees are tells them apart
-# of the way, in minutes that count as hundredths of a degree, and by what share it may be off; speeds in mph for km/h
-# make 0.62 of the way
-SIXTY_OF_HUNDRED, SAME_SHARE = 0.6, 0.02
-PATH_OF_RADIANS = 0.1  # of the way; in radians read as degrees it is a 57th
 STANDSTILL = 50.0  # m on which a kart without velocities does not drive, and which in radians are 3 km
 
 _Ways = tuple[IntArray, IntArray, npt.NDArray[np.complex128]]
@@ -74,10 +69,6 @@ def _rows_with_position(c: FixColumns) -> IntArray:
 
 
 _SWAPPED = "look swapped; exchange the names lat_deg and lon_deg in the header line"
-_HUNDREDTHS = (
-    "look like degrees and minutes (ddmm.mmmm) divided by 100, as their way is 0.6 of that of the speeds and no "
-    "decimals are above 0.6; degrees are dd + mm.mmmm / 60"
-)
 _RADIANS = "look like radians; multiply both columns by 57.29577951"
 
 
@@ -103,32 +94,9 @@ def _are_minutes(value: Array) -> bool:
 
 
 def _cause_by_way(c: FixColumns) -> str:
-    """What makes the way of the positions that of the velocities where it is not; "" where it is, or nothing does."""
-    sent = _way_by_velocity(c)
+    """Radians, where positions hardly move as degrees and drive as radians; else ""."""
     may_be_radians = bool(np.all(np.abs(c.lat_deg) <= 90.0 * DEG) and np.all(np.abs(c.lon_deg) <= 180.0 * DEG))
-    if sent is None:
-        return _RADIANS if may_be_radians and _stands_still(c) and not _stands_still(c, 1.0 / DEG) else ""
-    first, last, way = sent
-    size = float(np.sum(np.abs(way)))
-
-    def off(lat: Array, lon: Array, sent: npt.NDArray[np.complex128] = way) -> float:
-        return float(np.sum(np.abs(_way_by_position(lat, lon, first, last) - sent))) / size
-
-    read = _way_by_position(c.lat_deg, c.lon_deg, first, last)
-    path = float(np.sum(np.abs(read))) / size
-    may_be_minutes = _are_minutes(100.0 * np.stack([c.lat_deg, c.lon_deg]))
-    is_as_long = abs(path / SIXTY_OF_HUNDRED - 1.0) < SAME_SHARE
-    if may_be_minutes and is_as_long and float(np.sum(np.abs(read / SIXTY_OF_HUNDRED - way))) < AGREES * size:
-        return _HUNDREDTHS
-    if off(c.lat_deg, c.lon_deg) < DISAGREES:
-        return ""
-    if np.all(np.abs(c.lon_deg) <= LARGEST[0]):
-        swapped = off(c.lon_deg, c.lat_deg)
-        if swapped < min(AGREES, SURELY * off(c.lat_deg, c.lon_deg, 1j * np.conj(way))):
-            return _SWAPPED
-    if may_be_radians and path < PATH_OF_RADIANS and off(c.lat_deg / DEG, c.lon_deg / DEG) < AGREES:
-        return _RADIANS
-    return ""
+    return _RADIANS if may_be_radians and _stands_still(c) and not _stands_still(c, 1.0 / DEG) else ""
 
 
 def _way_by_velocity(c: FixColumns) -> _Ways | None:

@@ -9,14 +9,11 @@ from smoother.arrays import Array, BoolArray, IntArray
 METRES_PER_DEGREE = 111_195.0  # of latitude; good to 0.5 %, enough for screening
 
 
-ESTIMATED = 0.5  # between none and measured: a receiver's own dead reckoning
-
-
 @dataclass(frozen=True, eq=False)
 class FixColumns:
     """Raw columns of N rows, each (N,), NaN where unknown. Units as in GnssFixes; velocities in m/s.
 
-    fix : quality, 0 or less is no fix, ESTIMATED one that the receiver made up without satellites.
+    fix : quality, 0 or less is no fix.
     is_blank : the row has a time but no position at all.
     """
 

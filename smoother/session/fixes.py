@@ -16,17 +16,14 @@ ABSURD_CLIMB = 50.0  # m/s
 NEARLY_STILL = 0.15  # m/s; noise of a receiver's speed at rest: its direction means nothing
 
 
-def screen_fixes(
-    columns: FixColumns, file: str, *, has_rows_between: bool = False, is_alone: bool = False
-) -> tuple[GnssFixes, list[Problem]]:
+def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = False) -> tuple[GnssFixes, list[Problem]]:
     """Return the usable fixes of a file in time order (maybe none) and what was wrong with the others.
 
     has_rows_between : whoever read the file left out rows that its exporter interpolated between fixes.
-    is_alone : there are no samples on the clock of the fixes.
     """
     rows, of_rows = run(ROW_CHECKS, FixRows(columns, file, has_rows_between))
     c = rows.columns
-    ordered = in_time_order(c.t, c.lat_deg, c.lon_deg, file=file, prefix="gps", is_alone=is_alone)
+    ordered = in_time_order(c.t, c.lat_deg, c.lon_deg, file=file, prefix="gps")
     rows, of_path = run(PATH_CHECKS, rows.with_stream("fixes", c.take(ordered.index).at(ordered.t)))
     return _to_fixes(rows.columns), [*of_rows, *ordered.problems, *of_path]
 

@@ -109,8 +109,7 @@ def _read_columns(files: SessionFiles) -> Recording:
     ]
     gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
     if imu_table is not None and imu is not None:
-        is_slow = unit is not None and not lasts_like(imu.t, gnss.t, unit)
-        if is_slow:
+        if unit is not None and not lasts_like(imu.t, gnss.t, unit):
             imu, problems, unit = read_imu_and_unit(imu_table, is_slow=True)
         _require_one_run(imu_table.name, gnss_file.name, problems, gnss_problems)
     problems += gnss_problems
@@ -155,7 +154,7 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) ->
     if table is not None:
         from smoother.session.csv_form import read_fixes
 
-        gnss, problems = read_fixes(table, imu_unit, is_alone=not has_imu)
+        gnss, problems = read_fixes(table, imu_unit)
         if logs and files.chosen is None:
             problems.append(Problem("gps_csv_preferred", preferred(table.name, logs)))
         return gnss, table, problems

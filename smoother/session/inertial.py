@@ -5,7 +5,6 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.samples import SENSOR_AXES, Problem, RawImu
-from smoother.session.coarse import spread_coarse_times
 from smoother.session.rows import in_time_order, taken
 from smoother.words import counted
 
@@ -28,10 +27,9 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
         t, accel, gyro = t[~unreadable], accel[~unreadable], gyro[~unreadable]
         text = f"{file}: {counted(count, 'row')} with an empty or unreadable value; dropped"
         problems.append(Problem("imu_invalid", text, count))
-    spread = spread_coarse_times(t, accel, gyro, file=file, prefix="imu")
-    ordered = in_time_order(spread.t, accel, gyro, file=file, prefix="imu")
-    imu = RawImu(ordered.t, taken(accel, ordered.index), taken(gyro, ordered.index), stamp_sigma=spread.sigma)
-    return imu, [*problems, *spread.problems, *ordered.problems]
+    ordered = in_time_order(t, accel, gyro, file=file, prefix="imu")
+    imu = RawImu(ordered.t, taken(accel, ordered.index), taken(gyro, ordered.index))
+    return imu, [*problems, *ordered.problems]
 
 
 def dead_axes(imu: RawImu) -> list[tuple[str, str]]:

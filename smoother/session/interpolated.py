@@ -20,10 +20,6 @@ REGULAR = 0.2  # of the period, by which a knot may be early or late
 ROUNDING = 1e-3  # likewise, by the digits of stamps
 MOSTLY = 0.9  # of the knots come regularly; what bends by chance does not
 MORE_ROWS = 1.04  # rows for every knot; fewer are those of a receiver that missed some
-SLIGHT = 0.1  # of the bend beside it: a knot some per cent of a step from a row bends the next one a little, too
-CLEARLY = 2.0  # roundings that most knots are off their chord; in a bend that hardly shows, every third row may be
-LONGEST_RUN = 2  # rows beside a knot that are off their chord; measured ones follow one another
-FEW_RUNS = 0.05  # share that may be longer
 # s, rows and m of a straight line that is no kart's way: noise bends that of the fixes of any receiver
 LONGEST_LINE, MOST_ON_LINE, LONG_WAY = 2.0, 8, 20.0
 FEW_ON_LINE = 0.1  # share of the other fixes in motion that may be on the line beside them, where lines tell something
@@ -75,30 +71,6 @@ def _digit(values: Array) -> float:
     fine = MANTISSA * float(np.max(np.abs(known), initial=0.0))
     gaps = np.concatenate([np.diff(np.unique(np.diff(known, order))) for order in range(3)])
     return max(float(np.min(gaps[gaps > fine], initial=np.inf)), 4.0 * fine) if np.any(gaps > fine) else 0.0
-
-
-def measured_rows(t: Array, channels: Sequence[Array]) -> IntArray | None:
-    """Rows (K,) nearest to where the channels (N,) were measured, by the bends of lines between; None if all were.
-
-    t (N,) s, increasing. The bends come as often as the receiver measures, most of them seen and the rest filled in.
-    Clear ones tell first: rounding adds some between, by which the receiver would seem to measure more often.
-    """
-    off = off_chord(t, channels)
-    beside = np.maximum(np.append(off[1:], 0.0), np.append(0.0, off[:-1]))
-    off[off < SLIGHT * beside] = 0.0
-    clear = _rows_at_bends(t, np.where(off > CLEARLY, off, 0.0))
-    return _rows_at_bends(t, off) if clear is None else clear
-
-
-def _rows_at_bends(t: Array, off: Array) -> IntArray | None:
-    """Rows (K,) of t (N,) s at bends that come regularly; off (N,): by how much rows bend, most of them clearly."""
-    first, end = runs_of(off > 0.0)
-    if first.size < FEWEST_KNOTS or np.mean(end - first > LONGEST_RUN) > FEW_RUNS:
-        return None
-    if np.median(np.maximum.reduceat(off, first)) < CLEARLY:
-        return None
-    weight, moment = (np.add.reduceat(values, first) for values in (off, off * t))
-    return rows_at_knots(t, moment / weight)
 
 
 def rows_at_knots(t: Array, seen: Array) -> IntArray | None:

@@ -20,18 +20,17 @@ import pynmea2
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
-from smoother.session.clock_steps import find_step_back
 from smoother.session.encoding import in_utf8
-from smoother.session.fix_columns import ESTIMATED, FixColumns
+from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
-from smoother.session.sentence_days import on_their_days
 from smoother.session.time_unit import in_seconds, unit_by_utc
 from smoother.session.velned import Velocities
 from smoother.units import DAY, KMH, KNOT
 from smoother.words import counted
 
 # [t_s,]$<talker><kind>,<data>[*<checksum>]; a garbled byte ends the match and so leaves the checksum out
+ESTIMATED = 6  # quality of a position by dead reckoning, without satellites
 _SENTENCE = re.compile(
     rb"(?:(?:^|(?<=[\r\n]))[ \t]*([-+]?\d[-+0-9.eE]*)[ \t]*,[ \t]*)?\$"
     rb"(([A-Z]{2})(RMC|GGA|GNS|GST|VTG|ZDA),([\x20-\x23\x25-\x29\x2b-\x7e]*))(\*[0-9A-Fa-f]{2})?"
@@ -45,7 +44,6 @@ _TALKERS = ("GN", "GP")  # preferred in this order where several constellations 
 _TALKER_CODES = 65536  # two letters
 _FIRST_YEAR = 80  # of GPS time, and of the century
 _TIME_QUANTUM = 1e-3  # s; UTC equal to a millisecond is one epoch
-_WHOLE = 0.1  # s; how near to whole seconds UTC is set back
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,15 +143,13 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
     if not np.any(timed):
         flaws = "; ".join(problem.text for problem in tally.problems(file))
         raise SessionError(f"{file}: no NMEA sentence with a time (RMC, GGA, GNS){f'; {flaws}' if flaws else ''}")
-    utc = on_their_days(over_midnight(sentences.time_of_day[timed]), _days(sentences)[timed])
+    utc = over_midnight(sentences.time_of_day[timed])
     unit = unit_by_utc(sentences.received[timed], utc)
     received_s, said = in_seconds(sentences.received, unit, "gps", file)
     utc, said_of_seconds = _spread_whole_seconds(sentences, timed, utc, tally, file)
     said += said_of_seconds
     sentences = replace(sentences, received=received_s)
-    ahead, said_of_steps = _utc_ahead(sentences, timed, utc, file)
-    said += said_of_steps
-    columns, has_receive_times = _merge(sentences, timed, utc - ahead, ahead, tally, velocities)
+    columns, has_receive_times = _merge(sentences, timed, utc, tally, velocities)
     gnss, problems = screen_fixes(columns, file)
     return NmeaReading(gnss, [*said, *tally.problems(file), *problems], has_receive_times)
 
@@ -250,8 +246,8 @@ def _position(message: Any) -> tuple[float, float]:
 
 
 def _quality(mode: str) -> float:
-    """What one system's mode says of a fix: none, the receiver's dead reckoning, or measured."""
-    return {"N": 0.0, "E": ESTIMATED}.get(mode, 1.0)
+    """What one system's mode says of a fix: none, or dead reckoning, which counts as none, or measured."""
+    return 0.0 if mode in ("N", "E") else 1.0
 
 
 def _rmc(message: Any) -> tuple[float, ...]:
@@ -270,7 +266,7 @@ def _rmc(message: Any) -> tuple[float, ...]:
 def _gga(message: Any) -> tuple[float, ...]:
     return (
         *_position(message),
-        ESTIMATED if message.gps_qual == 6 else _number(message.gps_qual),
+        0.0 if message.gps_qual == ESTIMATED else _number(message.gps_qual),
         _number(message.num_sats),
         _number(message.horizontal_dil),
         _number(message.altitude),
@@ -358,39 +354,10 @@ def _of_one_second(utc: Array) -> tuple[IntArray, IntArray, IntArray]:
     return group, np.diff(np.append(first, utc.size)), np.arange(utc.size) - first[group]
 
 
-def _days(sentences: _Sentences) -> Array:
-    """Dates (N,), days since 1970, that the RMC of fixes tell, or else ZDA, which do not say whether there is one."""
-    days, is_date = sentences.column("day"), sentences.is_of("ZDA")
-    with np.errstate(invalid="ignore"):
-        of_fixes = sentences.is_of("RMC") & (sentences.column("fix") > 0.0) & np.isfinite(days)
-    return np.where(of_fixes if of_fixes.any() else is_date, days, np.nan)
-
-
-def _utc_ahead(sentences: _Sentences, timed: BoolArray, utc: Array, file: str) -> tuple[Array, list[Problem]]:
-    """By how much UTC (N,) s of the timed sentences is ahead (N,) s of a clock that goes on, and what to say of it.
-
-    A receiver sets its UTC back by some seconds when it receives how many leap seconds there are.
-    """
-    ahead, stream = np.zeros(utc.size), sentences.stream[timed]
-    names, sizes = np.unique(stream, return_counts=True)
-    main = np.flatnonzero(stream == names[np.argmax(sizes)])
-    places = [sentences.column(name)[timed][main] for name in ("lat_deg", "lon_deg")]
-    if (step := find_step_back(utc[main], places)) is None:
-        return ahead, []
-    burst = np.flatnonzero(np.diff(utc[: main[step.row] + 1]) != 0.0)[-1] + 1  # its first sentence of whatever kind
-    ahead[burst:] = -(round(step.by) if abs(step.by - round(step.by)) < _WHOLE else step.by)
-    text = f"its UTC was set back by {-ahead[-1]:.2f} s at {sentences.time_of_day[timed][burst] % DAY:.0f} s of the day"
-    text += ", while the positions go on; fixes stay in the order of the file"
-    return ahead, [Problem("gps_utc_against_places", f"{file}: {text}")]
-
-
 def _merge(
-    sentences: _Sentences, timed: BoolArray, utc: Array, ahead: Array, tally: _Tally, velocities: Velocities
+    sentences: _Sentences, timed: BoolArray, utc: Array, tally: _Tally, velocities: Velocities
 ) -> tuple[FixColumns, bool]:
-    """One row per UTC. utc belongs to the sentences that have a time; VTG, which has none, to the one before it.
-
-    ahead (N,) s : by how much what is written is ahead of `utc` (N,) s, which goes on where the clock was set.
-    """
+    """One row per UTC. utc belongs to the sentences that have a time; VTG, which has none, to the one before it."""
     owner = _owners(sentences, timed)
     ticks = np.round(utc / _TIME_QUANTUM).astype(np.int64)
     epochs, row_of_timed = np.unique(ticks, return_inverse=True)
@@ -404,9 +371,7 @@ def _merge(
     is_other_day = (ticks[0] - epochs[0]) * _TIME_QUANTUM > 0.5 * DAY  # damaged times of day are nearer
     since_first = np.asarray((epochs - (epochs[0] if is_other_day else ticks[0])) * _TIME_QUANTUM, dtype=np.float64)
     t, has_receive_times = _row_times(received, since_first)
-    written = seconds.copy()
-    written[row_of_timed[::-1]] += ahead[::-1]  # of several the first
-    unix = written + _midnight(values["day"], written)
+    unix = seconds + _midnight(values["day"], seconds)
     position_missing = ~np.isfinite(values["lat_deg"])
     columns = {name: values[name] for name in _COLUMNS if name != "day"}
     return (

@@ -27,7 +27,6 @@ class Recording:
     imu_delay: float | None = None  # s, of the low-pass before the sampling, where the file tells it; it is taken off
     wheel_speed: WheelSpeed | None = None
     channels: tuple[Channel, ...] = ()
-    date: str | None = None  # that a person stated (ISO 8601)
 
     @property
     def samples(self) -> RawImu:

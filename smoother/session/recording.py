@@ -15,7 +15,7 @@ from smoother.errors import SessionError
 from smoother.samples import IMU_AXES_UNKNOWN, IMU_INCOMPLETE, GnssFixes, Problem, RawSession
 from smoother.session.checks.imu import IMU_CHECKS, USABLE
 from smoother.session.checks.table import run
-from smoother.session.checks.times import CLOCKS, DATES, GAPS, TOGETHER
+from smoother.session.checks.times import GAPS, TOGETHER
 from smoother.session.checks.wheel import WHEEL_CHECKS
 from smoother.session.clock import TimeBase, describe_time_base, regularize, true_fix_times
 from smoother.session.files import SessionFiles
@@ -38,10 +38,10 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     """
     settings = files.find("session.toml")
     config = SessionConfig() if settings is None else load_settings(settings)
-    recording = replace(recording, gnss=_without_fillers(recording.gnss), date=config.date)
+    recording = replace(recording, gnss=_without_fillers(recording.gnss))
     _require_fixes(recording)
     problems = [*recording.problems, *_missing_heights(recording)]
-    for step in (_dated, _with_even_samples, _with_even_fixes, _checked):
+    for step in (_with_even_samples, _with_even_fixes, _checked):
         recording, said = step(recording)
         problems += said
     if recording.imu is not None:
@@ -104,10 +104,6 @@ def _missing_heights(recording: Recording) -> Iterator[Problem]:
         yield Problem("gps_no_height", text)
 
 
-def _dated(recording: Recording) -> tuple[Recording, list[Problem]]:
-    return run(DATES, recording)
-
-
 def _with_even_samples(recording: Recording) -> tuple[Recording, list[Problem]]:
     """The inertial samples on an even time base; none, with the reason, if they are of no use."""
     imu = recording.imu
@@ -140,9 +136,7 @@ def _with_even_fixes(recording: Recording) -> tuple[Recording, list[Problem]]:
     t, by_utc = true_fix_times(gnss.t, gnss.unix_s)
     if not by_utc and len(gnss) >= FEWEST_FIXES_FOR_CLOCK:
         t = regularize(gnss.t).t
-    _, of_clocks = run(CLOCKS, recording)
-    recording, problems = run(GAPS, replace(recording, gnss=replace(gnss, t=t)))
-    return recording, [*of_clocks, *problems]
+    return run(GAPS, replace(recording, gnss=replace(gnss, t=t)))
 
 
 def _checked(recording: Recording) -> tuple[Recording, list[Problem]]:

@@ -11,20 +11,14 @@ import numpy.typing as npt
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
-from smoother.session.clock_steps import find_step_back
 from smoother.units import DAY
 from smoother.words import counted
 
-# s; Arduino's micros() starts again after 71.6 minutes, millis() after 49.7 days, times of day at midnight
-WRAPS = (2.0**32 * 1e-6, 2.0**32 * 1e-3, DAY)
-WRAP_TOLERANCE = 60.0  # s; longest silence across a wrap that is still recognised as one
 GLITCH_SHARE = 0.01  # up to this share of rows out of order is flaws; more has a cause of its own
 GLITCH_ROWS = 10
-RESTLESS = 0.3  # share of steps that fall: no clock starts again as often, but rows are in no order at all
-UNEVEN, MOSTLY = 0.6, 0.95  # of the usual step, and of the steps: those of one recording are as even
+UNEVEN, MOSTLY = 0.45, 0.95  # of the usual step, and of the steps: those of one recording are as even
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
-MOST_TURNS = 4  # from one run of rows to another for every fall, twice what batches in no order at all have
 STRAY_GAP = 600.0  # s; see _stray_ends
 LATEST = 1e10  # s; even seconds since 1970 are fewer
 LONGEST_GAP = 86400.0  # s; a few rows further from the others are of no recording
@@ -34,7 +28,7 @@ Values = Sequence[npt.NDArray[Any]]  # columns, each (N,) or (N, M), that tell r
 
 @dataclass(frozen=True, eq=False)
 class Ordered:
-    """Times t (K,) s, strictly increasing and unwrapped, the index (K,) of their rows, and what was done."""
+    """Times t (K,) s, strictly increasing, the index (K,) of their rows, and what was done."""
 
     t: Array
     index: IntArray
@@ -54,14 +48,13 @@ class _Said:
         return self.that(code, f"{counted(count, 'row')} {reason}; dropped", count)
 
 
-def in_time_order(t: Array, *values: npt.NDArray[Any], file: str, prefix: str, is_alone: bool = False) -> Ordered:
+def in_time_order(t: Array, *values: npt.NDArray[Any], file: str, prefix: str) -> Ordered:
     """Choose the rows that form one strictly increasing time axis.
 
-    t : (N,) s as written. is_alone : nothing else is stamped by the clock of this file, which may be mended.
-    Rows out of order or repeated are dropped (the first of a repeated time stays); a stray far-future stamp costs
-    itself, not what follows it. A stream shuffled over short distances, and blocks that were written twice or in
-    another order, are sorted. After a restart of the clock only the longest piece is kept. A clock that was set back by
-    a moment is mended where it has no other to keep to.
+    t : (N,) s as written. values : columns by which rows of one time are told apart. Single rows out of order or
+    repeated are dropped, or sorted in where they are missing (the first of a repeated time stays); a stray far-future
+    stamp costs itself, not what follows it. Rows in another order that are one recording, sorted, are sorted. After a
+    restart of the clock only the longest part is kept.
     """
     if _is_flawless(t):
         time = t.view()
@@ -72,11 +65,7 @@ def in_time_order(t: Array, *values: npt.NDArray[Any], file: str, prefix: str, i
     problems = said.dropped("absurd_time", t.size - index.size, "with a time beyond any clock")
     if index.size == 0:
         return Ordered(t[index], index, problems)
-    time, wraps = unwrap(t[index])
-    problems += said.that("clock_wrapped", f"its clock wrapped {wraps} times (32 bits, or midnight); unwrapped", wraps)
-    time, more = _over_step_back(said, time, [value[index] for value in values], is_alone)
-    problems += more
-    chosen, time, more = _sorted(said, time, [value[index] for value in values])
+    chosen, time, more = _sorted(said, t[index], [value[index] for value in values])
     problems += more
     index, keep = index[chosen], longest_increasing(time)
     repeated = ~keep & np.isin(time, time[keep])
@@ -112,27 +101,6 @@ def _all_of(n: int) -> IntArray:
 def is_all(index: IntArray, n: int) -> bool:
     """Whether index (K,) is that of all n rows, in their order."""
     return index.size == n and all(np.array_equal(index[part], np.arange(part.start, part.stop)) for part in pieces(n))
-
-
-def unwrap(t: Array) -> tuple[Array, int]:
-    """Undo wraps of 32-bit microseconds or milliseconds, or of times of day, in t (N,) s; return times and number."""
-    total, wraps = t.copy(), 0
-    if np.all(t[1:] >= t[:-1]):
-        return total, wraps
-    for period in WRAPS:
-        step = np.diff(total, prepend=total[:1])
-        wrapped = (step < 0.0) & (step + period >= 0.0) & (step + period < WRAP_TOLERANCE)
-        wrapped &= persists(total, wrapped)
-        wraps += int(np.count_nonzero(wrapped))
-        total = total + period * np.cumsum(wrapped)
-    return total, wraps
-
-
-def persists(t: Array, fell: BoolArray) -> BoolArray:
-    """Return whether the row after each fall stays below the one before the fall: a wrap, not one stray stamp."""
-    after = np.append(t[1:], t[-1:])
-    before = np.append(t[:1], t[:-1])
-    return fell & (after < before)
 
 
 def over_midnight(time_of_day: Array) -> Array:
@@ -188,25 +156,12 @@ def _patience(t: Array) -> IntArray:
 def _sorted(said: _Said, t: Array, values: Values) -> tuple[IntArray, Array, list[Problem]]:
     """Rows (index and times) in which whatever is still out of order is a flaw of single rows."""
     every = np.arange(t.size)
-    if np.count_nonzero(~longest_increasing(_without_repeats(t))) <= _tolerated(t.size):
+    if np.count_nonzero(~longest_increasing(t[np.append(True, np.diff(t) != 0.0)])) <= _tolerated(t.size):
         return _sort_swapped(said, t)
     order = np.argsort(t, kind="stable")
-    moved = int(np.count_nonzero(order != every))
-    if np.max(np.abs(order - every)) <= SHUFFLE_DISTANCE and not _mixes(order, t):
-        return order, t[order], said.that("reordered", f"{counted(moved, 'row')} slightly out of order; sorted", moved)
-    falls = int(np.count_nonzero(np.diff(t) < 0.0))
-    is_backwards = falls >= (1.0 - GLITCH_SHARE) * (t.size - 1)
-    if is_backwards or (falls > RESTLESS * t.size and _is_even(t[order])):
-        what = "from the newest to the oldest" if is_backwards else "in no order"
-        return order, t[order], said.that("reordered", f"{counted(t.size, 'row')} {what}; sorted by time", t.size)
-    rows = every[_is_calm(t)]
-    if _are_moved_blocks(t[rows], [value[rows] for value in values]):
-        falls = int(np.count_nonzero(np.diff(t[rows]) < 0.0))
-        text = f"{counted(falls, 'step')} back in time, of rows in another order; sorted by time"
-        problems = said.that("blocks_moved", text, falls)
-        problems += said.dropped("out_of_order", t.size - rows.size, "out of time order")
-        order = rows[np.argsort(t[rows], kind="stable")]
-        return order, t[order], problems
+    if _is_one_recording(t[order], order, values):
+        moved = int(np.count_nonzero(order != every))
+        return order, t[order], said.that("reordered", f"{counted(moved, 'row')} out of order; sorted by time", moved)
     piece = parts_between_restarts(t)
     rows = every[piece == np.argmax(np.bincount(piece))]
     reason = "from before or after a restart of the clock, outside the longest part"
@@ -235,41 +190,27 @@ def _sort_swapped(said: _Said, t: Array) -> tuple[IntArray, Array, list[Problem]
     return rows, t[rows], said.that("reordered", f"{counted(count, 'row')} out of order; sorted by time", count)
 
 
-def _over_step_back(said: _Said, t: Array, values: Values, is_alone: bool) -> tuple[Array, list[Problem]]:
-    """Times (N,) s that go on where the clock was set back by a moment, if it can be mended; that it was, is said."""
-    step = find_step_back(t, values)
-    if step is None:
-        return t, []
-    if step.by >= RESTART_STEP and np.count_nonzero(t[: step.row] >= t[step.row]) > _tolerated(t.size):
-        return t, []  # it was started again
-    text = f"its clock was set back by {step.by:.2f} s at {t[step.row - 1]:.0f} s"
-    if not (is_alone and step.is_even):
-        text += "; what follows stands so much too early, beside what was before"
-        return t, said.that("clock_behind", text, 1)
-    text += ", while rows went on evenly; what follows is joined to what was before"
-    return np.concatenate([t[: step.row], t[step.row :] + step.by]), said.that("clock_behind", text, 1)
-
-
 def _tolerated(rows: int) -> float:
     """How many of so many rows may be out of order one by one."""
     return max(GLITCH_ROWS, GLITCH_SHARE * rows)
 
 
-def _mixes(order: IntArray, t: Array) -> bool:
-    """Whether this order, of times t (N,), takes rows by turns from before and after few falls of them.
+def _is_one_recording(t: Array, order: IntArray, values: Values) -> bool:
+    """Whether rows in this order are one recording: times t (N,) s mostly go on by one step, rows of one time are the
+    same row, and what was written in one piece joins without a hole.
 
-    A clock that was set back by seconds has two places for each of them, and a kart in both by turns drives nowhere.
-    Rows that were written in small shuffled batches have a fall for every few that change places.
+    After a restart of the clock times come again with other rows, or two recordings mix, or there is time between them.
     """
-    block = np.cumsum(np.diff(t, prepend=t[:1]) < 0.0)
-    return bool(np.count_nonzero(np.diff(block[order])) > MOST_TURNS * (int(block[-1]) + 1))
-
-
-def _is_even(t: Array) -> bool:
-    """Whether times (N,) s, sorted, mostly go on by one step, as those of one recording do and of two mixed do not."""
-    step = np.diff(t)
-    usual = float(np.median(step))
-    return bool(usual > 0.0 and np.mean(np.abs(step - usual) < UNEVEN * usual) >= MOSTLY)
+    again = np.diff(t) == 0.0
+    if np.count_nonzero(again & _differ(order, values)) > GLITCH_SHARE * np.count_nonzero(again):
+        return False
+    kept = np.append(True, ~again)
+    step, block = np.diff(t[kept]), np.cumsum(np.diff(t[np.argsort(order)], prepend=t[0]) < 0.0)[order]
+    joins = np.diff(block[kept]) != 0
+    usual = float(np.median(step)) if step.size else 0.0
+    holes = np.count_nonzero(step[joins] > max(RESTART_STEP, 4.0 * usual))
+    is_even = np.mean(np.abs(step - usual) < UNEVEN * usual) >= MOSTLY if step.size else False
+    return bool(usual > 0.0 and is_even and holes <= GLITCH_SHARE * np.count_nonzero(joins))
 
 
 def _is_calm(t: Array) -> BoolArray:
@@ -277,23 +218,6 @@ def _is_calm(t: Array) -> BoolArray:
     calm = np.ones(t.size, dtype=np.bool_)
     calm[1:-1] = ~((t[2:] > t[:-2]) & ((t[1:-1] > t[2:]) | (t[1:-1] < t[:-2])))
     return calm
-
-
-def _are_moved_blocks(t: Array, values: Values) -> bool:
-    """Whether sorting makes one recording of t (N,): rows of one time are the same row, and blocks join without a hole.
-
-    After a restart of the clock times come again with other rows, or two recordings mix, or there is time between them.
-    """
-    order = np.argsort(t, kind="stable")
-    again = np.diff(t[order]) == 0.0
-    if np.count_nonzero(again & _differ(order, values)) > GLITCH_SHARE * np.count_nonzero(again):
-        return False
-    block = np.cumsum(np.diff(t, prepend=t[:1]) < 0.0)
-    kept = order[np.append(True, ~again)]
-    step, joins = np.diff(t[kept]), np.diff(block[kept]) != 0
-    longest = max(RESTART_STEP, 4.0 * float(np.median(step))) if step.size else 0.0
-    holes, joined = np.count_nonzero(step[joins] > longest), np.count_nonzero(joins)
-    return bool(joined <= 2 * (int(block[-1]) + 1) and holes <= GLITCH_SHARE * joined)
 
 
 def _differ(order: IntArray, values: Values) -> BoolArray:
@@ -304,10 +228,6 @@ def _differ(order: IntArray, values: Values) -> BoolArray:
         same = (pairs[0] == pairs[1]) | (np.isnan(pairs[0]) & np.isnan(pairs[1]))
         differs |= ~(same if same.ndim == 1 else np.all(same, axis=1))
     return differs
-
-
-def _without_repeats(t: Array) -> Array:
-    return np.delete(t, np.flatnonzero(np.diff(t) == 0.0) + 1)
 
 
 def parts_between_restarts(t: Array) -> IntArray:

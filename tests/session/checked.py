@@ -8,10 +8,10 @@ from smoother.session.recorded import Recording
 
 
 def checked(
-    checks: Iterable[Check[Recording]], gnss: GnssFixes, imu: RawImu | None = None, date: str | None = None
+    checks: Iterable[Check[Recording]], gnss: GnssFixes, imu: RawImu | None = None
 ) -> tuple[Recording, list[Problem]]:
     """What the checks leave of a recording, and what they say."""
-    return run(checks, Recording(gnss, "gps.csv", (), (), imu, "imu.csv", date=date))
+    return run(checks, Recording(gnss, "gps.csv", (), (), imu, "imu.csv"))
 
 
 def of_code(checks: Iterable[Check[Recording]], code: str) -> list[Check[Recording]]:

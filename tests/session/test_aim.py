@@ -138,20 +138,6 @@ def test_underscores_in_names_and_tabs_read_the_same(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read(tmp_path, text).gnss.velocity_n, plain.velocity_n)
 
 
-def test_rows_that_come_faster_than_the_receiver_measures_are_no_fixes(tmp_path: Path) -> None:
-    fix_t, t = np.arange(0.0, 60.0, 0.1), np.round(np.arange(0.004, 59.9, 0.02), 3)
-    rng = np.random.default_rng(1)
-    lat, lon = 45.7 + 5e-4 * np.sin(fix_t / 5.0), 13.07 + 5e-4 * np.cos(fix_t / 5.0)
-    columns = [np.interp(t, fix_t, x) for x in (lat, lon, 50.0 + rng.standard_normal(fix_t.size))]
-    rows = [
-        (f"{s:.3f}", f"{v:.3f}", "16", "0.0", *values(0)[4:7], f"{a:.8f}", f"{o:.8f}", *values(0)[9:])
-        for s, a, o, v in zip(t, *columns, strict=True)
-    ]
-    reading = read(tmp_path, table(rows))
-    assert abs(len(reading.gnss) - fix_t.size) <= 3
-    assert "gps_interpolated" in {problem.code for problem in reading.problems}
-
-
 def test_a_folder_with_the_file_is_a_session_of_fixes(tmp_path: Path) -> None:
     read(tmp_path, table([values(k) for k in range(80)]))
     raw = load_raw(tmp_path)

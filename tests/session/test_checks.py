@@ -1,7 +1,6 @@
 """The table of checks: what a finding changes, what is said of it, and what no check is asked about."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from smoother.session.checks.columns import FixRows
 from smoother.session.checks.fixes import PATH_CHECKS, ROW_CHECKS
 from smoother.session.checks.imu import IMU_CHECKS, USABLE
 from smoother.session.checks.table import Check, Finding, run
-from smoother.session.checks.times import CLOCKS, DATES, GAPS, TOGETHER
+from smoother.session.checks.times import GAPS, TOGETHER
 from smoother.session.checks.wheel import WHEEL_CHECKS
 from smoother.session.fix_columns import FixColumns, fix_columns
 from smoother.session.recorded import Recording
@@ -77,7 +76,7 @@ def test_each_check_sees_what_the_one_before_has_left() -> None:
 
 
 def test_codes_begin_with_what_they_are_about() -> None:
-    tables = (*ROW_CHECKS, *PATH_CHECKS), (*USABLE, *IMU_CHECKS, *DATES, *CLOCKS, *GAPS, *TOGETHER, *WHEEL_CHECKS)
+    tables = (*ROW_CHECKS, *PATH_CHECKS), (*USABLE, *IMU_CHECKS, *GAPS, *TOGETHER, *WHEEL_CHECKS)
     for check in (*tables[0], *tables[1]):
         assert check.code.partition("_")[0] in ("gps", "imu", "clock", "recordings", "wheel"), check.code
 
@@ -87,23 +86,6 @@ def fixes(pace: float = 0.0, leap: float = 0.0) -> GnssFixes:
     true = np.arange(0.0, 300.0, 0.2)
     t = true + pace * np.clip(true - 100.0, 0.0, 60.0) + leap * (true > 150.0)
     return GnssFixes(t, 45.0 + 1e-5 * true, 0.0 * true + 12.0, 0.0 * true, np.zeros((t.size, 3)), unix_s=START + true)
-
-
-@pytest.mark.parametrize(
-    ("made", "said"),
-    [
-        (fixes(), []),
-        (fixes(pace=0.01), ["clock_pace"]),
-        (fixes(pace=-0.01), ["clock_pace"]),
-        (fixes(leap=0.6), ["gps_clock_set"]),
-    ],
-)
-def test_a_clock_that_runs_unevenly_against_utc_is_said(made: GnssFixes, said: list[str]) -> None:
-    even = replace(made, t=1.0001 * made.t)  # a crystal that is off all the time is no pace that changes
-    for one in (made, even):
-        recording, problems = checked(CLOCKS, one)
-        assert [problem.code for problem in problems] == said
-        np.testing.assert_array_equal(recording.gnss.t, one.t)
 
 
 def test_samples_of_any_reader_are_in_si_by_their_scale_and_not_copied() -> None:

@@ -181,17 +181,6 @@ def test_fixes_with_utc_before_leap_seconds_are_known_keep_their_receive_times()
     assert np.std((t - true)[30:]) < 0.0015
 
 
-@pytest.mark.parametrize("by", [0.5, -0.7, 0.99])
-@pytest.mark.parametrize("row", [100, 500, 900])
-def test_utc_that_is_set_moves_no_fix(row: int, by: float) -> None:
-    true, arrival, unix = received(1000, 0.2, 0.02)
-    unix[row:] += by
-    t, changed = true_fix_times(arrival, unix)
-    assert changed
-    assert np.std(t - true) < 0.0015
-    assert np.mean(t - true) == pytest.approx(np.median(arrival - true), abs=0.001)
-
-
 @pytest.mark.parametrize(
     "spoil",
     [

@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 from smoother.errors import SessionError
 from smoother.session.beside import read_mag
 from smoother.session.csv_form import read_fixes, read_imu
-from smoother.session.load import load_raw
 from smoother.session.tables import read_header, read_table
-from smoother.units import DEG
 
 IMU_HEADER = "t_s,ax,ay,az,gx,gy,gz"
 GPS_HEADER = "t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg,hacc_m,num_sv,fix"
@@ -176,14 +174,6 @@ def test_utc_comes_in_several_forms(tmp_path: Path, column: str, value: str) -> 
     assert fixes.unix_s[0] == pytest.approx(1717149600.25, abs=1e-6)
 
 
-@pytest.mark.parametrize(("unit", "size"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
-def test_utc_in_another_unit_is_found_by_its_size_and_said(tmp_path: Path, unit: str, size: float) -> None:
-    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{(1717149600 + 0.2 * k) * size:.0f}" for k in range(9)]
-    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,unix_s\n" + "\n".join(rows) + "\n", "gps.csv"))
-    np.testing.assert_allclose(fixes.unix_s, 1717149600 + 0.2 * np.arange(9), atol=1e-3)
-    assert [problem.text for problem in problems] == [f"gps.csv: unix_s is in {unit}; taken as such"]
-
-
 @pytest.mark.parametrize(
     ("column", "value"), [("utc", "0001-01-01T00:00:01Z"), ("utc", "9999-12-31T23:59:59Z"), ("unix_s", "4.7e9")]
 )
@@ -194,52 +184,11 @@ def test_utc_of_a_receiver_that_has_no_date_is_not_used(tmp_path: Path, column: 
     assert codes(problems) == {"gps_utc_absurd": 9}
 
 
-@pytest.mark.parametrize(
-    ("column", "value"),
-    [
-        ("utc", "2024-05-31T10:00:00Z"),
-        ("unix_s", "1717149600"),
-        ("unix_s", "1.7171496e12"),
-        ("utc_ms", "1717149600000"),
-    ],
-)
-def test_utc_that_stands_is_not_used_and_said(tmp_path: Path, column: str, value: str) -> None:
-    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{value}" for k in range(9)]
-    fixes, problems = read_fixes(save(tmp_path, f"t_s,lat_deg,lon_deg,{column}\n" + "\n".join(rows) + "\n", "gps.csv"))
-    assert len(fixes) == 9 and np.all(np.isnan(fixes.unix_s)) and fixes.unix_at_zero is None
-    assert [p.text for p in problems] == [f"gps.csv: {column} is the same in all 9 rows; not used"]
-    assert codes(problems) == {"gps_utc_stands": 9}
-
-
-def test_another_column_of_utc_is_used_where_one_stands(tmp_path: Path) -> None:
-    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,1717149600,2024-05-31T10:00:{0.2 * k:05.2f}Z" for k in range(9)]
-    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,unix_s,utc\n" + "\n".join(rows), "gps.csv"))
-    np.testing.assert_allclose(fixes.unix_s, 1717149600 + 0.2 * np.arange(9), atol=1e-3)
-    assert codes(problems) == {"gps_utc_stands": 9}
-
-
 @pytest.mark.parametrize("count", [1, 5])
 def test_utc_without_fractions_of_less_than_a_second_is_used(tmp_path: Path, count: int) -> None:
     rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,1717149600" for k in range(count)]
     fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,unix_s\n" + "\n".join(rows) + "\n", "gps.csv"))
     assert fixes.unix_s is not None and fixes.unix_s[0] == 1717149600 and problems == []
-
-
-@pytest.mark.parametrize("sigma", ["", "0"])
-def test_what_a_receiver_estimates_without_satellites_is_no_fix(tmp_path: Path, sigma: str) -> None:
-    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{sigma},{6 if k in (3, 4) else 1}" for k in range(9)]
-    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,hacc_m,fix\n" + "\n".join(rows), "gps.csv"))
-    np.testing.assert_allclose(fixes.t, 0.2 * np.array([0, 1, 2, 5, 6, 7, 8]))
-    assert codes(problems) == {"gps_estimated": 2}
-
-
-def test_an_estimate_that_says_how_sure_it_is_is_believed_so_and_said(tmp_path: Path) -> None:
-    rows = [
-        f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{9 if k in (3, 4) else 1},{6 if k in (3, 4) else 1}" for k in range(9)
-    ]
-    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,hacc_m,fix\n" + "\n".join(rows), "gps.csv"))
-    assert len(fixes) == 9 and fixes.sigma_horizontal is not None and fixes.sigma_horizontal[3] == 9.0
-    assert [p.text for p in problems] == ["gps.csv: fix is 6, estimated, in 2 rows; as sure as hacc_m says"]
 
 
 def straight(directory: Path, factor: float, as_components: bool = False):
@@ -398,33 +347,6 @@ def test_a_last_row_without_end_that_is_whole_is_kept(tmp_path: Path) -> None:
         assert len(fixes) == 100 and problems == []
 
 
-@pytest.mark.parametrize("millimetres", ["1500", "700"])
-def test_an_accuracy_that_is_in_millimetres_is_taken_as_such_and_said(tmp_path: Path, millimetres: str) -> None:
-    rows = [row.replace(",1.5,9,3", f",{millimetres},9,3") for row in gps_rows(100)]
-    fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
-    assert len(fixes) == 100 and codes(problems) == {"gps_accuracy_unit": 100}
-    assert f"hacc_m is {millimetres} in the middle, as if in mm" in problems[0].text
-    np.testing.assert_allclose(fixes.sigma_horizontal, 1e-3 * float(millimetres))
-
-
-def test_places_by_the_masts_of_a_network_are_as_unsure_as_they_say(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    rows = [row.replace(",1.5,9,3", ",700,9,3").split(",") for row in gps_rows(100)]
-    for row in rows:
-        row[1] = f"{float(row[1]) + 0.005 * rng.standard_normal():.7f}"
-    fixes, problems = read_fixes(save(tmp_path, gps_table([",".join(row) for row in rows]), "gps.csv"))
-    assert "gps_accuracy_unit" not in codes(problems)
-    assert fixes.sigma_horizontal is None or not np.any(fixes.sigma_horizontal < 100.0)
-
-
-def test_an_accuracy_of_kilometres_is_named_and_not_the_sky(tmp_path: Path) -> None:
-    rows = [row.replace(",1.5,9,3", ",1500000,9,3") for row in gps_rows(100)]
-    fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
-    assert len(fixes) == 0 and codes(problems) == {"gps_sigma_absurd": 100}
-    with pytest.raises(SessionError, match=r"is hacc_m in m.*mend those columns"):
-        load_raw(tmp_path)
-
-
 def test_jumps_of_50_m_are_left_to_the_estimator(tmp_path: Path) -> None:
     rows = gps_rows(100)
     rows[50] = rows[50].replace(",12.0", ",12.0006", 1)
@@ -573,25 +495,6 @@ def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, data: 
             assert str(error).startswith(name) and "\n" not in str(error)
         else:
             assert np.all(np.diff(samples.t) > 0)
-
-
-@pytest.mark.parametrize("lost", ["lat_deg", "lon_deg"])
-def test_a_coordinate_that_lost_its_decimals_leaves_no_track(tmp_path: Path, lost: str) -> None:
-    t = np.arange(200) * 0.2
-    angle, radius = 0.1 * t, 8e-4
-    places = {"lat_deg": 52.0 + radius * np.cos(angle), "lon_deg": 17.0 + radius * np.sin(angle) / np.cos(52 * DEG)}
-    course = np.rad2deg(angle) + 90.0
-    rows = [
-        f"{t[i]:.1f},{places['lat_deg'][i]:.7f},{places['lon_deg'][i]:.7f},8.9,{course[i] % 360.0:.2f}"
-        for i in range(t.size)
-    ]
-    head = "t_s,lat_deg,lon_deg,speed_mps,course_deg"
-    whole, _ = read_fixes(save(tmp_path, "\n".join([head, *rows]), "gps.csv"))
-    place = head.split(",").index(lost)
-    short = [",".join("5.21E+01" if i == place else x for i, x in enumerate(row.split(","))) for row in rows]
-    fixes, problems = read_fixes(save(tmp_path, "\n".join([head, *short]), "gps.csv"))
-    assert len(whole) == 200 and len(fixes) == 0
-    assert codes(problems)["gps_coordinate_stands"] == 200
 
 
 def test_infinite_values_of_optional_columns_are_said(tmp_path: Path) -> None:

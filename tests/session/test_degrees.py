@@ -8,7 +8,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.session.csv_form import read_fixes, read_imu
+from smoother.session.csv_form import read_fixes
 from smoother.session.load import load_raw
 
 T = np.arange(500) / 5.0
@@ -34,13 +34,11 @@ def minutes(degrees: Array) -> Array:
 @pytest.mark.parametrize(
     ("make", "form", "has_speed", "named"),
     [
-        (lambda lat, lon: (lon, lat), ".10f", True, "swapped; exchange the names"),
         (lambda lat, lon: (lon - 150.0, lat), ".10f", False, "swapped; exchange the names"),
         (lambda lat, lon: (np.radians(lat), np.radians(lon)), ".10f", True, "radians; multiply .* 57.29577951"),
         (lambda lat, lon: (np.radians(lat), np.radians(lon)), ".10f", False, "radians; multiply .* 57.29577951"),
         (lambda lat, lon: (lat * 1e7, lon * 1e7), ".0f", True, "integers of 1e-7 degrees .* divide .* by 10000000"),
         (lambda lat, lon: (minutes(lat), minutes(lon)), ".6f", True, r"NMEA's degrees and minutes \(ddmm.mmmm\)"),
-        (lambda lat, lon: (minutes(lat) / 100.0, minutes(lon) / 100.0), ".8f", True, r"\(ddmm.mmmm\) divided by 100"),
         (lambda lat, lon: (lat * 1000.0, lon), ".6f", True, "no degrees on Earth; wanted are degrees"),
     ],
 )
@@ -78,20 +76,3 @@ def test_no_real_recording_is_taken_for_another_form(data_directory: Path) -> No
     assert tables
     for table in tables:
         assert len(load_raw(table).gnss)
-
-
-@pytest.mark.parametrize(("unit", "seconds"), [("minutes", 60.0), ("hours", 3600.0)])
-def test_minutes_or_hours_for_seconds_are_named(tmp_path: Path, unit: str, seconds: float) -> None:
-    table = write(tmp_path / "gps.csv", LAT, LON, T / seconds)
-    with pytest.raises(SessionError, match=r"^gps.csv: by t_s \d+ fixes a second, .*multiply minutes by 60, hours by"):
-        read_fixes(table)
-    rows = table.read_text().splitlines()
-    table.write_text(
-        "\n".join([f"{rows[0]},unix_s", *(f"{r},{1.7e9 + t:.1f}" for r, t in zip(rows[1:], T, strict=True))])
-    )
-    with pytest.raises(SessionError, match=rf"^gps.csv: by its UTC, t_s is in {unit}; .*multiply by {seconds:.0f}, in"):
-        read_fixes(table)
-    imu = tmp_path / "imu.csv"
-    imu.write_text("t_s,ax,ay,az,gx,gy,gz\n" + "".join(f"{k / 200 / seconds:.10f},0,0,9.8,0,0,0\n" for k in range(999)))
-    with pytest.raises(SessionError, match=r"^imu.csv: by t_s \d+ samples a second, .*multiply minutes by 60"):
-        read_imu(imu)

@@ -1,7 +1,6 @@
 """Inertial samples that are left out: what no sensor reads, and what stands for no reading at all."""
 
 import numpy as np
-import pytest
 
 from smoother.samples import GnssFixes, RawImu
 from smoother.session.checks.imu import IMU_CHECKS
@@ -10,21 +9,6 @@ from .checked import checked, of_code
 
 FIXES = GnssFixes(np.arange(2.0), *(np.array([45.0, 45.1]) for _ in range(3)), np.zeros((2, 3)))
 SILENT = of_code(IMU_CHECKS, "imu_silent")
-
-
-@pytest.mark.parametrize(("silent", "are_dropped"), [(0, False), (7, True), (180, True), (600, False)])
-def test_samples_of_nothing_but_zeros_are_left_out_where_they_are_few(silent: int, are_dropped: bool) -> None:
-    """A sensor that does not answer on its bus is read as zeros; a file of zeros has a cause of its own."""
-    rng = np.random.default_rng(4)
-    t = np.arange(1000) / 200.0
-    accel, gyro = rng.normal([0.0, 0.0, 9.8], 1.0, (1000, 3)), rng.standard_normal((1000, 3))
-    rows = rng.choice(1000, silent, replace=False)
-    accel[rows], gyro[rows] = 0.0, 0.0
-    recording, problems = checked(SILENT, FIXES, RawImu(t, accel, gyro))
-    imu = recording.samples
-    said = {problem.code: problem.count for problem in problems}
-    assert said == ({"imu_silent": silent} if are_dropped else {})
-    np.testing.assert_array_equal(imu.t, np.delete(t, rows) if are_dropped else t)
 
 
 def test_one_axis_that_reads_zero_is_a_reading() -> None:

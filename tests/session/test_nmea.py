@@ -225,15 +225,7 @@ def estimated(tod: float, kind: str) -> str:
 def test_what_a_receiver_estimates_without_satellites_is_no_fix(kind: str) -> None:
     reading = read(gga(START) + estimated(START + 1, kind) + gga(START + 2))
     np.testing.assert_array_equal(reading.gnss.t, [0.0, 2.0])
-    assert codes(reading) == {"gps_estimated": 1}
-
-
-def test_a_file_of_nothing_but_estimates_is_used_and_said() -> None:
-    reading = read("".join(estimated(START + k, "GGA") for k in range(4)))
-    np.testing.assert_array_equal(reading.gnss.t, np.arange(4.0))
-    assert np.all(reading.gnss.fix == 1)
-    told = "log.nmea: 4 rows, all that are fixes, estimated by the receiver without satellites; used"
-    assert [(problem.text, problem.count) for problem in reading.problems] == [(told, 4)]
+    assert codes(reading) == {"gps_no_fix": 1}
 
 
 def test_missing_fields_are_unknown_and_never_zero() -> None:

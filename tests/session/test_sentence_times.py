@@ -2,15 +2,12 @@
 
 import datetime as dt
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from smoother.session.nmea import NmeaReading
 
-from .folders import Folder
-from .folders import codes as all_codes
 from .test_nmea import codes, read, sentence
 
 BEGIN = dt.datetime(2026, 5, 16, 10, 0, tzinfo=dt.UTC).timestamp()
@@ -67,43 +64,6 @@ def joined(bursts: Sequence[str]) -> NmeaReading:
     return read("".join(bursts))
 
 
-def stepped(by: float, at_s: float = 50.0) -> Clock:
-    """UTC that is ahead by `by` s until it was set."""
-    return lambda t: t + (by if t < at_s - 1e-6 else 0.0)
-
-
-@pytest.mark.parametrize(("by", "rate"), [(2, 1.0), (1, 5.0), (2, 5.0), (3, 5.0), (18, 5.0), (3, 25.0), (18, 25.0)])
-def test_utc_that_is_set_while_the_kart_drives_moves_no_fix(by: int, rate: float) -> None:
-    whole, reading = joined(drive(rate=rate)), joined(drive(stepped(by), rate=rate))
-    np.testing.assert_allclose(reading.gnss.t, whole.gnss.t, rtol=0.0, atol=1e-6)
-    np.testing.assert_array_equal(reading.gnss.lat_deg, whole.gnss.lat_deg)
-    assert whole.gnss.unix_s is not None and reading.gnss.unix_s is not None
-    ahead = reading.gnss.unix_s - whole.gnss.unix_s  # as written; which of the two holds is found with that of tables
-    np.testing.assert_allclose(ahead, np.where(reading.gnss.t < 50.0 - 1e-6, by, 0.0), rtol=0.0, atol=1e-5)
-    assert whole.problems == [] and codes(reading) == {"gps_utc_against_places": 1}
-
-
-def test_utc_falls_over_midnight() -> None:
-    bursts = drive(stepped(18), begin=BEGIN + 14 * 3600.0 - 45.0)  # 23:59:15; it is set back from 00:00:22 to 00:00:05
-    reading = joined(bursts)
-    np.testing.assert_allclose(reading.gnss.t, 0.2 * np.arange(500), rtol=0.0, atol=1e-6)
-
-
-@pytest.mark.parametrize("by", [1, 2, 18])
-def test_with_receive_times_no_fix_is_lost(by: int) -> None:
-    whole, reading = joined(drive(stamps=7.0)), joined(drive(stepped(by), stamps=7.0))
-    assert reading.has_receive_times and codes(reading) == {"gps_utc_against_places": 1}
-    np.testing.assert_allclose(reading.gnss.t, whole.gnss.t, rtol=0.0, atol=1e-9)
-    np.testing.assert_array_equal(reading.gnss.lat_deg, whole.gnss.lat_deg)
-
-
-def test_it_is_said_and_dated_as_in_a_table(tmp_path: Path) -> None:
-    raw = Folder(tmp_path).write(log__nmea="".join(drive(stepped(18, 40.0)))).load()
-    assert all_codes(raw)["gps_utc_at_odds"] == 200 and not {"gps_duplicate_sentence", "gps_gap"} & set(all_codes(raw))
-    np.testing.assert_allclose(raw.gnss.t, 0.2 * np.arange(500), rtol=0.0, atol=1e-6)
-    assert raw.unix_at_zero == pytest.approx(BEGIN, abs=1e-3)
-
-
 def moved_and_copied(bursts: list[str]) -> dict[str, list[str]]:
     """Files of the same bursts in another order, or some of them twice."""
     return {
@@ -145,43 +105,6 @@ def test_a_gap_of_whole_seconds_stays_a_gap(
     first = round(50.0 * rate)
     reading = joined([*bursts[:first], *bursts[first + count :]])
     assert np.max(np.diff(reading.gnss.t)) == pytest.approx(lost + 1.0 / rate) and reading.problems == []
-
-
-DAY = 86400.0
-
-
-def elsewhere(t: float) -> tuple[float, float]:
-    """The same track in other laps."""
-    return place(1.03 * t + 7.0)
-
-
-@pytest.mark.parametrize("later", [DAY + 60.0, DAY - 60.0, DAY, 3 * DAY - 5 * 3600.0, DAY + 9 * 3600.0, 13 * 3600.0])
-@pytest.mark.parametrize("kinds", [("RMC", "GGA"), ("GGA", "RMC"), ("GGA", "ZDA")])
-@pytest.mark.parametrize("turned", [False, True])
-def test_days_of_one_file_are_kept_apart_by_their_dates(later: float, kinds: Sequence[str], turned: bool) -> None:
-    days = [drive(kinds=kinds), drive(kinds=kinds, begin=BEGIN + later, where=elsewhere, seconds=80.0)]
-    gnss = joined([burst for day in (days[::-1] if turned else days) for burst in day]).gnss
-    assert gnss.unix_s is not None
-    expected = BEGIN + np.concatenate([0.2 * np.arange(500), later + 0.2 * np.arange(400)])
-    np.testing.assert_allclose(gnss.unix_s, expected, rtol=0.0, atol=1e-5)
-    assert np.argmax(np.diff(gnss.t)) == 499 and gnss.t[0] == 0.0
-
-
-def test_of_two_days_the_longer_one_is_used_as_of_tables(tmp_path: Path) -> None:
-    text = "".join([*drive(seconds=80.0), *drive(begin=BEGIN + DAY + 60.0, where=elsewhere)])
-    raw = Folder(tmp_path).write(log__nmea=text).load()
-    assert all_codes(raw)["recordings_apart"] == 400 and len(raw.gnss) == 500
-    assert "gps_duplicate_sentence" not in all_codes(raw)
-    assert raw.gnss.unix_s is not None and raw.gnss.unix_s[0] == pytest.approx(BEGIN + DAY + 60.0, abs=1e-3)
-
-
-def test_gga_between_takes_the_date_of_the_rmc_of_its_recording() -> None:
-    def sparse(begin: float, where: Callable[[float], tuple[float, float]]) -> list[str]:
-        full = zip(drive(begin=begin, where=where), drive(begin=begin, where=where, kinds=("GGA",)), strict=True)
-        return [both if k % 5 == 3 else gga for k, (both, gga) in enumerate(full)]
-
-    gnss = joined([*sparse(BEGIN, place), *sparse(BEGIN + DAY - 30.0, elsewhere)]).gnss
-    np.testing.assert_allclose(gnss.t, np.concatenate([0.0 + 0.2 * np.arange(500), DAY - 30.0 + 0.2 * np.arange(500)]))
 
 
 @pytest.mark.parametrize("turns_over", [0.0, 0.4, 30.0, 1e9])

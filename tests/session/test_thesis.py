@@ -171,12 +171,6 @@ def test_garbage_before_and_zeros_behind_the_records_are_passed_over(tmp_path: P
     assert len(out.gnss) == 20
 
 
-def test_the_millisecond_counter_may_wrap(tmp_path: Path) -> None:
-    out = read_out(save(tmp_path, Writer(start_ms=2**32 - 1010).write(200)))
-    np.testing.assert_allclose(np.diff(out.imu.t), 0.02, atol=1e-6)
-    assert out.imu.t.size == 200 and np.all(np.diff(out.gnss.t) > 0)
-
-
 def test_what_the_buffer_held_before_is_not_read_again(tmp_path: Path) -> None:
     writer = Writer(block_length=200)
     data = writer.write(200)

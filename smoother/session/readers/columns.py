@@ -95,7 +95,6 @@ def recording_of(file: str, sheets: Sequence[Sheet]) -> ForeignReading:
         raw.lat_deg,
         raw.lon_deg,
         has_rows_between=bool(between) or _is_resampled(fixes),
-        is_alone=imu is None,
         **known,
     )
     start, start_said = _start(file, fixes.about) if own.utc is None else (None, [])

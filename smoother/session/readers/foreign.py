@@ -38,16 +38,14 @@ def fixes_from(
     lon_deg: Array,
     *,
     has_rows_between: bool = False,
-    is_alone: bool = False,
     **known: Array,
 ) -> tuple[GnssFixes, list[Problem]]:
     """Screen columns (N,) of fixes, `known` by their names in FixColumns. Raises SessionError if t is absurd.
 
-    has_rows_between : rows that the exporter interpolated between fixes were left out. is_alone : there are no
-    samples on the clock of the fixes.
+    has_rows_between : rows that the exporter interpolated between fixes were left out.
     """
     columns = fix_columns(t, lat_deg, lon_deg, **known)
-    gnss, problems = screen_fixes(columns, file, has_rows_between=has_rows_between, is_alone=is_alone)
+    gnss, problems = screen_fixes(columns, file, has_rows_between=has_rows_between)
     if any(problem.code == "gps_repeated_time" for problem in problems):
         _require_times_apart(file, np.column_stack([t, lat_deg, lon_deg]), len(gnss))
     _require_sane_times(file, t)

@@ -17,7 +17,6 @@ from pyubx2.exceptions import UBXMessageError, UBXParseError, UBXStreamError, UB
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.fix_columns import ESTIMATED
 from smoother.session.readers.foreign import ForeignReading, fixes_from
 from smoother.units import DAY
 from smoother.words import counted
@@ -64,9 +63,7 @@ def read_ubx(path: Path) -> ForeignReading:
     lat_deg, lon_deg, *others = (np.array([epoch.get(name, np.nan) for epoch in epochs]) for name in NAMES)
     sent_t = _seconds(np.array([epoch["itow"] for epoch in epochs]))
     known = dict(zip(NAMES[2:], others, strict=True))
-    gnss, problems = fixes_from(
-        path.name, sent_t - sent_t[0], lat_deg, lon_deg, has_rows_between=False, is_alone=False, **known
-    )
+    gnss, problems = fixes_from(path.name, sent_t - sent_t[0], lat_deg, lon_deg, has_rows_between=False, **known)
     text = f"{path.name}: {counted(lost, 'UBX message')} with a wrong checksum; left out"
     return ForeignReading(gnss, [*([Problem("gps_row_damaged", text, lost)] if lost else []), *problems])
 
@@ -125,10 +122,10 @@ def _seconds(of_week: Array) -> Array:
 
 
 def _quality(kind: int, is_within_limits: int) -> float:
-    """Quality of a fix: the kind, ESTIMATED for dead reckoning, 0 for none."""
-    if not is_within_limits or kind == TIME_ONLY:
+    """Quality of a fix: the kind, 0 for none and for dead reckoning."""
+    if not is_within_limits or kind in (TIME_ONLY, DEAD_RECKONING):
         return 0.0
-    return ESTIMATED if kind == DEAD_RECKONING else float(kind)
+    return float(kind)
 
 
 def _unix(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int, is_known: bool) -> float:
