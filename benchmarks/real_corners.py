@@ -29,8 +29,8 @@ from smoother import api
 from smoother.arrays import Array, BoolArray
 from smoother.laps.reference import Curve
 from smoother.laps.results import LapAnalysis, Line
-from smoother.laps.sigma import LUCK as FALSE
-from smoother.laps.sigma import are_real, least_real
+from smoother.laps.sigma import FALSE_DISCOVERY_RATE as FALSE
+from smoother.laps.sigma import are_real, least_significant
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation
 from smoother.trajectory import Trajectory
@@ -146,7 +146,7 @@ def main() -> None:
 
 def _alone(s: CornerScore) -> BoolArray:
     """What each loss would be called by itself."""
-    return are_real(s.lost, s.sigma, float(least_real(1.0)))
+    return are_real(s.lost, s.sigma, float(least_significant(1.0)))
 
 
 def _hochberg(s: CornerScore) -> BoolArray:

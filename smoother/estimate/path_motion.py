@@ -18,8 +18,8 @@ LAGS = np.arange(-0.2, 0.81, 0.1)  # s tried for the delay of the fixes; what th
 class PathMotion:
     """Motion of the kart from the fixes. t (N,) s; velocity_n (N, 3) m/s, Up may be NaN.
 
-    is_measured: whether these are velocities of the receiver, not of a line through its positions. is_reported (N,): near
-    a fix that tells, and no bridge across those that were left out; None where all are.
+    is_measured: whether these are velocities of the receiver, not of a line through its positions. is_reported (N,):
+    near a fix with a velocity, and not interpolated across removed fixes; None where all are.
     """
 
     t: Array

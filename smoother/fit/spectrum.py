@@ -127,11 +127,11 @@ class _Peaks:
         """Peaks of blocks (W, n, D) for a line whose frequency rises by `sweep` Hz/s through each window."""
         windows, size = blocks.shape[:2]
         time = (np.arange(size) - 0.5 * (size - 1)) / rate
-        steadied = blocks * np.exp(-1j * np.pi * sweep * time**2)[:, None]
+        smoothed_speed = blocks * np.exp(-1j * np.pi * sweep * time**2)[:, None]
         padded = 2 * size  # so that a peak is met within a fraction of its width
         frequency = np.arange(padded // 2 + 1) * rate / padded
         inside = frequency >= min(LOWEST_LINE, 0.25 * rate)
-        each = np.abs(np.fft.fft(steadied, padded, axis=1)[:, : len(inside)][:, inside]) ** 2
+        each = np.abs(np.fft.fft(smoothed_speed, padded, axis=1)[:, : len(inside)][:, inside]) ** 2
         power, frequency = np.sum(each, axis=2), frequency[inside]
         peak = np.argmax(power, axis=1)
         background = np.median(_around(power, peak, round(BACKGROUND * padded / rate)), axis=1) / chi2.median(freedom)

@@ -1,4 +1,4 @@
-"""From a trajectory to everything that its laps say: the one entry to the lap analysis."""
+"""The lap analysis: from a trajectory to laps and everything that follows from them."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from smoother.disc import release
 from smoother.fit.loop import SHORTEST
 from smoother.fit.plan_path import PlanPath
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
-from smoother.laps.corner_speeds import steady_speed
+from smoother.laps.corner_speeds import smooth_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
 from smoother.laps.passages import Passage, find_passages, reasons
@@ -33,21 +33,20 @@ from smoother.laps.sideslip import why_hidden
 from smoother.laps.sigma import Drift, position_errors
 from smoother.laps.statistics import official_times, statistics_of
 from smoother.laps.timing import BESIDE, raw_crossings
-from smoother.laps.top_speed import likely_tops
+from smoother.laps.top_speed import shrunk_tops
 from smoother.samples import Problem
 from smoother.trajectory import JointPosition, Trajectory
 
-GRID_SPEED = 0.5  # of the usual speed over the line, below which a lap was begun from a standing start
+GRID_SPEED = 0.5  # of the usual speed over the line, below which a lap has a standing start
 
 
 @dataclass(frozen=True, eq=False)
 class LapOptions:
-    """What may be stated about laps; everything has a default.
+    """Options of the lap analysis; everything has a default.
 
     lines: start/finish and sectors, None: found. reference, reference_lap: of another session, for comparisons.
     official (K,) s: transponder times in driving order. shortest m: a loop below is no lap.
-    drift: how the position error changes with time, of results read from files. problems: what people should know of
-    what was stated.
+    drift: how the position error changes with time, of results read from files. problems: of the stated values.
     """
 
     lines: GivenLines | None = None
@@ -61,7 +60,7 @@ class LapOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Given:
-    """What every stage needs."""
+    """Inputs of every stage."""
 
     trajectory: Trajectory
     path: PlanPath
@@ -72,7 +71,7 @@ class _Given:
 
 
 def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None = None) -> LapAnalysis:
-    """Return laps and all that follows from them; without a loop or line an analysis that holds no laps, saying why.
+    """Return laps and all that follows from them; without a loop or line an analysis without laps, with the reason.
 
     `trajectory` at 10 Hz or more; `fixes` are the raw ones, for gaps and for times without smoothing.
     """
@@ -82,7 +81,7 @@ def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None =
 
 
 def _unmatched(official: tuple[OfficialTime, ...]) -> tuple[Problem, ...]:
-    """What to say where official times were given and none is that of a lap."""
+    """The problem of official times of which none matches a lap."""
     if not official or any(time.lap is not None for time in official):
         return ()
     text = f"none of the {len(official)} official times is near that of a lap; are they of this session?"
@@ -106,7 +105,7 @@ def _analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions) -> Lap
 
 
 def _beside(trajectory: Trajectory) -> float:
-    """How far (m) beside the truth a passage may seem to lie: three sigma of the position, within reason."""
+    """Tolerance (m) of the position of a passage: three sigma, within limits."""
     if trajectory.sigmas is None:
         return BESIDE
     sigma = float(np.nanmedian(trajectory.sigmas.position_n[:, :2]))
@@ -116,7 +115,7 @@ def _beside(trajectory: Trajectory) -> float:
 def reference_lap_of(
     analysis: LapAnalysis, trajectory: Trajectory, fixes: FixPath, name: str, drift: Drift | None = None
 ) -> ReferenceLap | None:
-    """Return the best lap of a session for others to be compared with on its reference line; None without one."""
+    """Return the best lap of a session as a reference for others; None without one."""
     if analysis.traces is None or analysis.reference is None or analysis.reference_lap is None:
         return None
     errors, _ = _errors(trajectory, fixes, drift)
@@ -130,7 +129,7 @@ def _errors(trajectory: Trajectory, fixes: FixPath, drift: Drift | None) -> tupl
 
 
 def without_laps(trajectory: Trajectory, *problems: Problem) -> LapAnalysis:
-    """Return the analysis of a session that has none, and why."""
+    """Return the analysis of a session without laps, with the reason."""
     n = len(trajectory)
     return LapAnalysis(
         laps=(),
@@ -213,7 +212,7 @@ def _untimed(given: _Given, passage: Passage, speeds: Array) -> Lap:
 
 
 def _quickest(passages: tuple[Passage, ...], valid: BoolArray) -> int | None:
-    """Index of the lap that others are compared with: the best that counts, else the quickest timed one."""
+    """Index of the reference lap: the best that counts, else the quickest timed one."""
     for wanted in (valid, np.array([p.is_timed for p in passages])):
         chosen = np.flatnonzero(wanted)
         if chosen.size:
@@ -222,7 +221,7 @@ def _quickest(passages: tuple[Passage, ...], valid: BoolArray) -> int | None:
 
 
 def _elapsed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...], quickest: int | None) -> Array | None:
-    """Elapsed time (M,) s of the lap that others are compared with."""
+    """Elapsed time (M,) s of the reference lap."""
     distance, elsewhere = grid_of(circuit.curve), given.options.reference_lap
     if elsewhere is not None:
         return np.interp(distance, elsewhere.distance, elsewhere.elapsed, left=np.nan, right=np.nan)
@@ -264,7 +263,7 @@ def _laps(
 
 
 def _from_grid(path: PlanPath, passages: tuple[Passage, ...]) -> BoolArray:
-    """Mask (L,) of laps that were begun far slower than is usual over the line."""
+    """Mask (L,) of laps that start far slower than usual over the line."""
     speed = interpolated(np.array([passage.start for passage in passages]), path.t, path.speed)
     at_line = np.array([passage.starts_at_line for passage in passages], dtype=np.bool_)
     usual = float(np.median(speed[at_line])) if at_line.any() else 0.0
@@ -272,14 +271,14 @@ def _from_grid(path: PlanPath, passages: tuple[Passage, ...]) -> BoolArray:
 
 
 def _speeds(given: _Given, passages: tuple[Passage, ...]) -> Array:
-    """Top and least speed (L, 2) m/s of every lap, without the luck that the extreme of many rows and laps has."""
-    steady = steady_speed(given.trajectory)
+    """Top and least speed (L, 2) m/s of every lap, without the bias of the extreme of many rows and laps."""
+    steady = smooth_speed(given.trajectory)
     rows = [given.path.rows_between(p.start, p.end) for p in passages]
     highest = [int(r[np.argmax(steady.speed[r])]) if r.size else -1 for r in rows]
     tops = np.array([steady.speed[k] if k >= 0 else np.nan for k in highest])
     sigma = np.array([steady.sigma[k] if k >= 0 else np.nan for k in highest])
     least = [float(steady.speed[r].min()) if r.size else np.nan for r in rows]
-    return np.column_stack([likely_tops(tops, sigma), least])
+    return np.column_stack([shrunk_tops(tops, sigma), least])
 
 
 def _lap(

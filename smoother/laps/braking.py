@@ -1,8 +1,8 @@
-"""Where a lap began to brake for a corner, and how sure that is.
+"""The braking point of each lap before a corner, and its sigma.
 
-The zone that takes most speed before the apex counts, from where the kart slows by more than the foot off the pedal
-does. How unsure the acceleration is tells how unsure the place is: it is looked for again with thresholds higher and
-lower by that much. Where a driver brakes hard both are near; where he hardly does, or brakes twice, they are far apart.
+It is the start of the zone with the largest loss of speed before the apex, where the deceleration exceeds that of a
+released throttle. Its sigma follows from that of the acceleration: the search is repeated with thresholds higher and
+lower by it. Where a driver brakes hard all three agree; where he hardly brakes, or brakes twice, they differ.
 """
 
 import numpy as np
@@ -11,12 +11,12 @@ from smoother.arrays import Array, runs_of
 from smoother.laps.delta import BRAKING, BRAKING_ENDS
 from smoother.laps.results import Traces
 
-ACCELERATION_SIGMA = 0.5  # m/s^2, of the smoothed acceleration that tells a braking zone
-EARLY = 30.0  # m before its segment that the braking for a corner may begin
+ACCELERATION_SIGMA = 0.5  # m/s^2, of the smoothed acceleration
+EARLY = 30.0  # m before its segment at which braking for a corner may begin
 
 
 def braking_points(traces: Traces, start: float, apex: float) -> tuple[Array, Array]:
-    """Return where each lap began to brake between `start` and `apex` (m), or somewhat before, (L,) m, and its sigma.
+    """Return the braking point (L,) m of each lap between `start` and `apex` (m), or somewhat before, and its sigma.
 
     NaN where a lap did not brake.
     """
@@ -37,9 +37,9 @@ def braking_points(traces: Traces, start: float, apex: float) -> tuple[Array, Ar
 
 
 def _beginning(distance: Array, slowing: Array, start: float, more: float) -> float:
-    """Distance (m) at which the zone begins that takes most speed of those that last beyond `start`; NaN without one.
+    """Start (m) of the zone with the largest loss of speed among those that end after `start`; NaN without one.
 
-    distance (M,) m; slowing (M,) m/s^2; more: m/s^2 by which thresholds are higher.
+    distance (M,) m; slowing (M,) m/s^2; more: m/s^2, added to the thresholds.
     """
     enter, leave = more - BRAKING, more - BRAKING_ENDS
     best, beginning = 0.0, np.nan

@@ -1,6 +1,6 @@
-"""The track as this session shows it: reference line, where on it the kart was, and the start/finish line.
+"""The track of a session: reference line, track distance of every row, and start/finish line.
 
-Found from the path alone when nothing is given; a given line only moves the zero. A closed track comes from the loop
+Found from the path alone; a given line only moves the zero. A closed track comes from the loop
 that the path repeats, or from two passages of a given line; an open one from a passage of a given start and finish.
 """
 
@@ -11,15 +11,15 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.fit.loop import find_loop
 from smoother.fit.plan_path import PlanPath
-from smoother.laps.against import driven_against
 from smoother.laps.follow import Followed, follow, refollow
 from smoother.laps.line import BESIDE, best_place, both_ways, line_across, meeting_places, oriented
 from smoother.laps.reference import Curve, first_line, mean_line, open_line, shifted
 from smoother.laps.results import GivenLines, Line, ReferenceLine
 from smoother.laps.timing import gate_crossings
+from smoother.laps.wrong_direction import driven_against
 from smoother.samples import Problem
 
-MEANS = 2  # times that the line is moved to the mean of the laps; the second changes it by centimetres
+MEANS = 2  # times that the line is moved to the mean of the laps; the second time by centimetres
 USUAL = 1.2  # of the quickest lap's time per metre: slower laps do not shape the reference line
 ODD = 6.0  # m from the median of the laps, beyond which one does not shape the line there
 
@@ -27,7 +27,7 @@ ODD = 6.0  # m from the median of the laps, beyond which one does not shape the 
 @dataclass(frozen=True, eq=False)
 class Circuit:
     """The track and the kart on it. curve, with its zero at the start line; followed; start_line; sector_lines as
-    given; finish_line and open curve for point-to-point. problems: what was odd."""
+    given; finish_line and open curve for point-to-point. problems of the lines."""
 
     curve: Curve
     followed: Followed
@@ -44,9 +44,9 @@ def find_circuit(
     shortest: float,
     blind: BoolArray | None = None,
 ) -> Circuit | Problem:
-    """Return the track, or the problem that says why there is none.
+    """Return the track, or the problem with the reason.
 
-    shortest m: no lap is shorter. blind (N,): rows in holes of the fixes, which do not shape the line.
+    shortest m: no lap is shorter. blind (N,): rows in gaps of the fixes, which are not used for the line.
     """
     blind = np.zeros(len(path.t), dtype=np.bool_) if blind is None else blind
     if lines is not None and lines.finish is not None:
@@ -83,7 +83,8 @@ def _first_curve(path: PlanPath, lines: GivenLines | None, shortest: float, blin
 
 
 def _between_gates(path: PlanPath, start: Array, end: Array, shortest: float) -> tuple[float, float] | None:
-    """The quickest passage (start, end) s from one gate to another, in whichever direction the first is passed more."""
+    """The quickest passage (start, end) s from one gate to another, in the direction in which the first is passed more
+    often."""
     best: tuple[float, float] | None = None
     for forward in both_ways(start):
         t0 = gate_crossings(path, oriented("", start, forward, ""), BESIDE)
@@ -110,9 +111,9 @@ def _mean(path: PlanPath, curve: Curve, blind: BoolArray) -> tuple[Curve, Follow
 
 
 def laps_on_line(path: PlanPath, curve: Curve, followed: Followed, blind: BoolArray) -> tuple[Array, Array]:
-    """Offset to the left and height (L, P) m, at the line's points, of laps driven at a usual pace and in full.
+    """Offset to the left and height (L, P) m, at the line's points, of whole laps at the usual pace.
 
-    NaN in holes of the fixes, rows `blind` (N,), where the path is a guess.
+    NaN in gaps of the fixes, rows `blind` (N,), where the path is uncertain.
     """
     numbers, pace, rows = [], [], []
     lap = np.floor(followed.distance / curve.length)
@@ -157,7 +158,7 @@ def _median(values: Array) -> Array:
 def _with_lines(
     path: PlanPath, curve: Curve, followed: Followed, lines: GivenLines | None, *, keep_zero: bool
 ) -> Circuit:
-    """Put the zero of the track where the start line stands."""
+    """Move the zero of the track to the start line."""
     problems: list[Problem] = []
     zero: float | None = 0.0 if keep_zero else None
     given = None

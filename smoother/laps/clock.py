@@ -1,4 +1,4 @@
-"""Lap times and times of day as people read them, wherever they are shown."""
+"""Lap times and times of day as text."""
 
 import datetime as dt
 import math
@@ -18,7 +18,7 @@ def lap_clock(seconds: float | None, digits: int = 3, unknown: str = "-") -> str
 
 
 def spread_text(spread: float | None, unknown: str = "-") -> str:
-    """Return how far lap times are spread, 0.123 s; in words where the timing is no surer than that."""
+    """Return the spread of lap times as text, 0.123 s, or `within the timing noise`."""
     if spread is None or not math.isfinite(spread):
         return unknown
     if spread == 0.0:
@@ -27,21 +27,21 @@ def spread_text(spread: float | None, unknown: str = "-") -> str:
 
 
 def chance_text(theoretical: float, raw: float, best: float) -> str:
-    """Return what the best sectors add up to (raw, s), and how much of it is luck; `best`: the best lap's time."""
+    """Return the sum of the best sectors (raw, s) as text, and its bias by chance; `best`: the time of the best lap."""
     added = f"best sectors add up to {lap_clock(raw)}"
     if theoretical > best - 0.0005:
         return f"{added}: faster than the best lap by chance only"
-    luck = round(theoretical, 3) - round(raw, 3)  # as the times that are shown differ
-    return f"{added}, which is {luck:.3f} s too fast by chance"
+    excess = round(theoretical, 3) - round(raw, 3)  # of the displayed times
+    return f"{added}, which is {excess:.3f} s too fast by chance"
 
 
 def local_time(unix: float) -> str:
-    """Return the time of day as the clock of this machine would have shown it, 14:03:21; see :func:`local_zone`."""
+    """Return the time of day in the time zone of this machine, 14:03:21; see :func:`local_zone`."""
     return _local(unix).strftime("%H:%M:%S")
 
 
 def local_day(unix: float, with_zone: bool = True) -> str:
-    """Return the day and time of day as this machine would have shown them, with its zone: 2024-05-01 14:03 CEST."""
+    """Return the day and time of day in the time zone of this machine, with its name: 2024-05-01 14:03 CEST."""
     return _local(unix).strftime("%Y-%m-%d %H:%M %Z" if with_zone else "%Y-%m-%d %H:%M")
 
 
@@ -51,4 +51,4 @@ def local_zone(moments: Iterable[float]) -> str:
 
 
 def _local(unix: float) -> dt.datetime:
-    return dt.datetime.fromtimestamp(round(unix, 3), dt.UTC).astimezone()  # a start at noon is not 11:59:59.999999
+    return dt.datetime.fromtimestamp(round(unix, 3), dt.UTC).astimezone()  # else noon may be 11:59:59

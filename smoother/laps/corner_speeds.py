@@ -1,7 +1,7 @@
-"""How fast a lap was where a corner begins and ends, and at its slowest, with sigmas.
+"""Speed of every lap at entry and exit of a corner, and its minimum, with sigmas.
 
-A speed at a place is as unsure as the place: a metre along the track, where a kart brakes, is half a metre a second.
-The lowest of many rows is the unluckiest of them, so speeds are steadied first, as for the top speed.
+The sigma contains the position error: a metre along the track, where a kart brakes, is half a metre a second. The
+minimum of many rows is biased by their noise, so speeds are smoothed first, as for the top speed.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.path import interpolated
 from smoother.laps.results import Traces
-from smoother.laps.top_speed import speed_sigma, steadied
+from smoother.laps.top_speed import smoothed_speed, speed_sigma
 from smoother.trajectory import Trajectory
 
 
@@ -28,34 +28,36 @@ class CornerSpeeds:
 
 
 @dataclass(frozen=True, eq=False)
-class SteadySpeed:
-    """Speed of all rows of a trajectory without the noise of single ones: t (N,) s, speed and its sigma (N,) m/s."""
+class SmoothSpeed:
+    """Smoothed speed of all rows of a trajectory: t (N,) s, speed and its sigma (N,) m/s."""
 
     t: Array
     speed: Array
     sigma: Array
 
 
-def steady_speed(trajectory: Trajectory) -> SteadySpeed:
-    """Return the speed of a trajectory steadied over a moment; never below 0, as a parabola may be at a stop."""
-    return SteadySpeed(trajectory.t, np.maximum(steadied(trajectory.speed, trajectory.t), 0.0), speed_sigma(trajectory))
+def smooth_speed(trajectory: Trajectory) -> SmoothSpeed:
+    """Return the smoothed speed of a trajectory, at least 0."""
+    return SmoothSpeed(
+        trajectory.t, np.maximum(smoothed_speed(trajectory.speed, trajectory.t), 0.0), speed_sigma(trajectory)
+    )
 
 
-def corner_speeds(speed: SteadySpeed, traces: Traces, start: float, end: float) -> CornerSpeeds:
+def corner_speeds(speed: SmoothSpeed, traces: Traces, start: float, end: float) -> CornerSpeeds:
     """Return the speeds of all laps where a corner starts and ends (m along the track), and between them."""
     entry, entry_sigma = speed_at(speed, traces, start)
     exit_, exit_sigma = speed_at(speed, traces, end)
     least, least_sigma = _least(speed, traces, start, end)
     for other, sigma in ((entry, entry_sigma), (exit_, exit_sigma)):
-        is_less = other < least  # by what lies between the rows
+        is_less = other < least  # by interpolation between rows
         least, least_sigma = np.where(is_less, other, least), np.where(is_less, sigma, least_sigma)
     return CornerSpeeds(entry, entry_sigma, least, least_sigma, exit_, exit_sigma)
 
 
-def speed_at(speed: SteadySpeed, traces: Traces, place: float) -> tuple[Array, Array]:
-    """Return speed and sigma (L,) m/s of every lap at a track distance (m), NaN where it was not there.
+def speed_at(speed: SmoothSpeed, traces: Traces, place: float) -> tuple[Array, Array]:
+    """Return speed and sigma (L,) m/s of every lap at a track distance (m), NaN where the lap has no value.
 
-    Speeds a sigma of the place before and after it tell what that makes of the speed.
+    The slope of the speed over one sigma of the position before and after gives the contribution of its error.
     """
     at = np.full(len(traces.t), place)
     off = np.nan_to_num(_at(traces.place_sigma, traces.distance, at))
@@ -67,7 +69,7 @@ def speed_at(speed: SteadySpeed, traces: Traces, place: float) -> tuple[Array, A
     return there, np.sqrt(own**2 + np.mean(by_place**2, axis=0))
 
 
-def _least(speed: SteadySpeed, traces: Traces, start: float, end: float) -> tuple[Array, Array]:
+def _least(speed: SmoothSpeed, traces: Traces, start: float, end: float) -> tuple[Array, Array]:
     out = np.full((2, len(traces.t)), np.nan)
     inside = (traces.distance >= start) & (traces.distance <= end)
     between = np.stack([_at(traces.t, traces.distance, np.full(len(out[0]), place)) for place in (start, end)], axis=1)

@@ -1,8 +1,7 @@
-"""Corners: where the reference line bends, and what every lap did there.
+"""Corners: bends of the reference line, and time and speed of every lap in them.
 
-A corner is a stretch that bends to one side, tighter than a straight that is driven in an arc, and turns the kart by
-more than a kink does. Between two corners the lap is divided where it is fastest, so that braking belongs to the corner
-that follows and acceleration to the one before.
+A corner is a stretch of curvature to one side, above thresholds of curvature and of total turn. Between two corners the
+lap is divided where it is fastest, so that braking belongs to the following corner and acceleration to the previous.
 """
 
 from dataclasses import dataclass
@@ -13,11 +12,11 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray, runs_of
 from smoother.fit.plan_path import PlanPath
 from smoother.laps.braking import braking_points
-from smoother.laps.corner_speeds import SteadySpeed, corner_speeds, steady_speed
+from smoother.laps.corner_speeds import SmoothSpeed, corner_speeds, smooth_speed
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
 from smoother.laps.sideslip import outward
-from smoother.laps.sigma import Crossed, are_real, sigma_of, sure_from, time_covariances
+from smoother.laps.sigma import Crossed, are_real, sigma_of, significance_threshold, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 from smoother.units import DEG
 
@@ -25,13 +24,13 @@ TIGHTEST_STRAIGHT = 1.0 / 70.0  # 1/m; a bend must be tighter than this somewher
 BEND_ENDS = 1.0 / 160.0  # 1/m, or a third of the bend's own greatest curvature
 LEAST_TURN = 20.0 * DEG  # rad
 JOINED = 8.0  # m; two bends to the same side closer than this are one corner
-MOST_LAPS = 60  # of which it is worked out how much their losses have in common; more say no more
+MOST_LAPS = 60  # whose losses enter the covariance; more change nothing
 OF_MEDIAN = 0.5 * np.pi  # variance of a median of normal values over that of their mean, of three or more
 
 
 @dataclass(frozen=True)
 class Bend:
-    """Where a corner is: start, apex, end m; curvature 1/m at the apex, positive to the left."""
+    """Extent of a corner: start, apex, end m; curvature 1/m at the apex, positive to the left."""
 
     start: float
     apex: float
@@ -66,7 +65,7 @@ def _bends_to(curvature: Array, side: float, spacing: float, curve: Curve) -> li
 
 
 def _joined(mask: BoolArray, gap: int) -> BoolArray:
-    """Close holes of up to `gap` points."""
+    """Close gaps of up to `gap` points."""
     known = np.flatnonzero(mask)
     out = mask.copy()
     for a, b in pairwise(known):
@@ -85,9 +84,9 @@ def make_corners(
     counting: BoolArray,
     errors: JointPosition | None,
 ) -> tuple[Corner, ...]:
-    """Return all corners with what every lap did.
+    """Return all corners with the values of every lap.
 
-    reference: index of the lap compared with, None if it is from elsewhere; elapsed (M,) s of the lap compared with.
+    reference: index of the reference lap, None if it is from another session; elapsed (M,) s of the reference lap.
     """
     bends = find_bends(curve)
     if not bends:
@@ -100,40 +99,42 @@ def make_corners(
     if elapsed is not None:
         lost = spent - np.diff(np.interp(bounds, traces.distance, elapsed))
     sigma = _lost_sigma(curve, bounds, at_bounds, path, reference, errors)
-    losses = _judged(lost, sigma, counting, reference)
+    losses = _with_significance(lost, sigma, counting, reference)
     others = np.array([lap for lap in np.flatnonzero(counting) if lap != reference], dtype=np.int64)
-    usual = _judged_usual(lost[others], _usual_sigma(curve, bounds, at_bounds, path, reference, others, errors))
-    steady = steady_speed(trajectory)
+    usual = _usual_with_significance(
+        lost[others], _usual_sigma(curve, bounds, at_bounds, path, reference, others, errors)
+    )
+    steady = smooth_speed(trajectory)
     return tuple(_corner(i, bend, bounds, traces, steady, spent[:, i], losses, usual) for i, bend in enumerate(bends))
 
 
 @dataclass(frozen=True, eq=False)
 class _Losses:
-    """Time lost (L, C) or (C,) s, its sigma, and whether it is real, which it is from `sure` sigmas on."""
+    """Time lost (L, C) or (C,) s, its sigma, and whether it is real, that is beyond `threshold` sigmas."""
 
     lost: Array
     sigma: Array
     is_real: BoolArray
-    sure: float
+    threshold: float
 
 
-def _judged(lost: Array, sigma: Array, counting: BoolArray, reference: int | None) -> _Losses:
-    """Losses (L, C) with what is real of them: those of the laps that count tell how many sigmas that takes."""
+def _with_significance(lost: Array, sigma: Array, counting: BoolArray, reference: int | None) -> _Losses:
+    """Losses (L, C) with their significance; the laps that count determine the threshold."""
     compared = counting.copy() if counting.any() else np.ones(len(lost), dtype=np.bool_)
     if reference is not None:
         compared[reference] = False
-    sure = sure_from(lost[compared], sigma[compared])
-    return _Losses(lost, sigma, are_real(lost, sigma, sure), sure)
+    threshold = significance_threshold(lost[compared], sigma[compared])
+    return _Losses(lost, sigma, are_real(lost, sigma, threshold), threshold)
 
 
-def _judged_usual(lost: Array, sigma: Array) -> _Losses:
+def _usual_with_significance(lost: Array, sigma: Array) -> _Losses:
     """Medians (C,) of the losses (K, C) of some laps, with their sigma (C,)."""
     known = np.isfinite(lost)
     usual = np.full(lost.shape[1], np.nan)
     for i in np.flatnonzero(known.any(axis=0)):
         usual[i] = np.median(lost[known[:, i], i])
-    sure = sure_from(usual, sigma)
-    return _Losses(usual, sigma, are_real(usual, sigma, sure), sure)
+    threshold = significance_threshold(usual, sigma)
+    return _Losses(usual, sigma, are_real(usual, sigma, threshold), threshold)
 
 
 def _mean_speed(traces: Traces, counting: BoolArray) -> Array:
@@ -168,7 +169,8 @@ def _lost_sigma(
     reference: int | None,
     errors: JointPosition | None,
 ) -> Array:
-    """Sigma (L, C) of the time lost in each segment; a reference from elsewhere counts as just as unsure."""
+    """Sigma (L, C) of the time lost in each segment; a reference from another session is assumed to have the same
+    sigma."""
     out = np.full((len(at_bounds), len(bounds) - 1), np.nan)
     if errors is None:
         return out
@@ -198,10 +200,10 @@ def _usual_sigma(
     others: IntArray,
     errors: JointPosition | None,
 ) -> Array:
-    """Sigma (C,) of the median of what the laps `others` (K,) lost in each segment.
+    """Sigma (C,) of the median of the losses of the laps `others` (K,) in each segment.
 
-    What their losses have in common, most of it the error of the lap compared with, is not less in the middle of many;
-    the rest is. A reference from elsewhere counts as just as unsure.
+    The median does not reduce the error that their losses have in common, mostly that of the reference lap. A reference
+    from another session is assumed to have the same sigma.
     """
     corners = len(bounds) - 1
     out = np.full(corners, np.nan)
@@ -223,8 +225,8 @@ def _usual_sigma(
 
 
 def _covariance_of_lost(covariance: Array, has_reference: bool) -> Array:
-    """Covariance (K, K) s^2 of what K laps lost, from that of when they, and last the reference lap if it is one of
-    the session, crossed both ends of a segment."""
+    """Covariance (K, K) s^2 of the losses of K laps, from that of the times at which they, and last the reference lap
+    if it is of this session, crossed both ends of a segment."""
     laps = len(covariance) // 2
     spent = np.kron(np.eye(laps), np.array([[-1.0, 1.0]]))
     if has_reference:
@@ -247,7 +249,7 @@ def _corner(
     bend: Bend,
     bounds: Array,
     traces: Traces,
-    speed: SteadySpeed,
+    speed: SmoothSpeed,
     spent: Array,
     losses: _Losses,
     usual: _Losses,
@@ -276,7 +278,7 @@ def _corner(
         time_lost=losses.lost[:, i],
         time_lost_sigma=losses.sigma[:, i],
         is_real=losses.is_real[:, i],
-        real_from=losses.sure,
+        real_from=losses.threshold,
         slide=slide,
         slide_sigma=slide_sigma,
         usual_lost=float(usual.lost[i]),

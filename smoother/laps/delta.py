@@ -1,7 +1,7 @@
-"""Every lap over track distance: when and how fast it was where, its delta by position, its line, each with sigma.
+"""Every lap over track distance: time, speed, delta, and line, each with sigma.
 
-Delta compares times at the same place of the track, not after the same distance driven, which drifts by tenths of a
-second over a lap as lines differ.
+Delta compares times at the same point of the track, not at the same driven distance, which would drift by tenths of a
+second over a lap because lines differ.
 """
 
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from smoother.laps.path import level_acceleration
 from smoother.laps.reference import Curve
 from smoother.laps.results import ReferenceLap, Traces
 from smoother.laps.sideslip import sideslip_of
-from smoother.laps.sigma import Crossed, covariances, least_real, sigma_of, time_covariances
+from smoother.laps.sigma import Crossed, covariances, least_significant, sigma_of, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 
-GRID = 2.0  # m between places
-SIGMA_PLACES = 40  # places to a lap at which sigmas are worked out; between them they hardly change
-BLENDED = 30.0  # m over which times on the grid are led into the crossing times, where a line stands askew
+GRID = 2.0  # m between points
+SIGMA_PLACES = 40  # points of a lap at which sigmas are computed; between them they are interpolated
+BLENDED = 30.0  # m over which times on the grid are blended into the crossing times, where a line is oblique
 SMOOTHED_OVER = 0.4  # s, of the acceleration that zones are judged by
 BRAKING, BRAKING_ENDS = -2.0, -1.0  # m/s^2, hysteresis
 DRIVING, DRIVING_ENDS = 0.7, 0.3  # m/s^2
@@ -31,7 +31,7 @@ DRIVING, DRIVING_ENDS = 0.7, 0.3  # m/s^2
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """What traces are made of, per row (N,): along and left acceleration, zone, sideslip with sigma, balance."""
+    """Inputs of traces, per row (N,): along and left acceleration, zone, sideslip with sigma, balance."""
 
     along: Array
     left: Array
@@ -42,7 +42,7 @@ class Timed:
 
 
 def row_values(trajectory: Trajectory, path: PlanPath) -> Timed:
-    """Return what is read off each row before laps are looked at; path is that of the trajectory."""
+    """Return the values of each row for traces; path is that of the trajectory."""
     acceleration = level_acceleration(trajectory, path)
     along = _smoothed(acceleration[:, 0], path.t)
     sideslip, sigma, balance = sideslip_of(trajectory, path, acceleration[:, 1])
@@ -64,7 +64,7 @@ def zones(along: Array) -> IntArray:
 
 
 def _hysteresis(values: Array, enter: float, leave: float) -> BoolArray:
-    """True in each run above `leave` that reaches `enter`: the zone begins where the pedal begins to act."""
+    """True in each run above `leave` that reaches `enter`: the zone starts where the pedal starts to act."""
     above = values > leave
     run = np.cumsum(np.diff(above, prepend=False))
     reached = np.zeros(int(run[-1]) + 1, dtype=np.bool_)
@@ -78,7 +78,7 @@ def grid_of(curve: Curve) -> Array:
 
 
 def lap_times_at(path: PlanPath, circuit: Circuit, passage: Passage, distance: Array) -> Array:
-    """Times (M,) s at which one lap was at track distances (M,) m; NaN where it was not on the track."""
+    """Times (M,) s at which one lap was at track distances (M,) m; NaN where it was off the track."""
     followed = circuit.followed
     first, last = np.searchsorted(path.t, [passage.start, passage.end])
     rows = np.arange(max(first - 1, 0), min(last + 1, len(path.t)))
@@ -86,13 +86,13 @@ def lap_times_at(path: PlanPath, circuit: Circuit, passage: Passage, distance: A
     if len(rows) < 2:
         return np.full(len(distance), np.nan)
     along = np.maximum.accumulate(followed.distance[rows] - passage.base)
-    along = along + 1e-9 * np.arange(len(along))  # standing still must not make times ambiguous
+    along = along + 1e-9 * np.arange(len(along))  # at rest times must not be ambiguous
     t = np.interp(distance, along, path.t[rows])
     t += _led_in(distance, passage.start - np.interp(0.0, along, path.t[rows]), passage.starts_at_line)
     end = distance[-1]
     t += _led_in(end - distance, passage.end - np.interp(end, along, path.t[rows]), passage.ends_at_line)
     on = np.interp(distance, along, followed.is_on[rows].astype(np.float64)) > 0.5
-    before, after = GRID * passage.starts_at_line, GRID * passage.ends_at_line  # a recording is over where it ends
+    before, after = GRID * passage.starts_at_line, GRID * passage.ends_at_line  # not beyond the ends of the recording
     here = (distance >= along[0] - before) & (distance <= along[-1] + after) & on
     if passage.starts_at_line:
         here[0] = True
@@ -120,8 +120,8 @@ def make_traces(
 ) -> Traces:
     """Return the traces of all laps.
 
-    reference (M,) s: elapsed time of the reference lap at each place, None without; counting (L,): the laps whose mean
-    the reference line is, None if that is another session's.
+    reference (M,) s: elapsed time of the reference lap at each point, None without; counting (L,): the laps whose mean
+    is the reference line, None if that is of another session.
     """
     curve = circuit.curve
     distance = grid_of(curve)
@@ -149,7 +149,7 @@ def make_traces(
         lateral=lateral,
         lateral_sigma=lateral_sigma,
         place_sigma=place_sigma,
-        is_off_line=(np.abs(lateral) > least_real(lateral_sigma)) & (lateral_sigma > 0.0),
+        is_off_line=(np.abs(lateral) > least_significant(lateral_sigma)) & (lateral_sigma > 0.0),
         longitudinal=sampled(values.along),
         lateral_acceleration=sampled(values.left),
         yaw_rate=sampled(trajectory.angular_rate_b[:, 2]),
@@ -161,22 +161,23 @@ def make_traces(
 
 
 def _lateral(curve: Curve, position: Array, distance: Array) -> Array:
-    """Offset (L, M) to the left of the reference line, at its own places."""
+    """Offset (L, M) to the left of the reference line, at its own points."""
     return to_left(curve.tangent(distance), position - curve.position(distance))
 
 
 def sigma_places(distance: Array) -> IntArray:
-    """Indices (B,) of the places at which sigmas are worked out, first and last of them the ends."""
+    """Indices (B,) of the points at which sigmas are computed, including both ends."""
     return np.unique(np.linspace(0, len(distance) - 1, min(SIGMA_PLACES, len(distance))).round().astype(np.int64))
 
 
 def _place_sigmas(
     curve: Curve, distance: Array, t: Array, counting: BoolArray | None, errors: JointPosition | None
 ) -> tuple[Array, Array]:
-    """Sigma (L, M) m of each lap's offset from the mean of the laps that count, and its share of what two differ by.
+    """Sigma (L, M) m of each lap's offset from the mean of the laps that count, and its share of the difference of two
+    laps.
 
-    The latter holds for the place along the track too: positions are as unsure this way as that. Without `counting` the
-    line is that of another session, whose GPS was off in its own way: then the position's whole error counts, twice.
+    The latter is used along the track too, because position errors are isotropic. Without `counting` the line is that
+    of another session with an independent GPS error: then the whole position error counts twice.
     """
     out = np.full((2, *t.shape), np.nan)
     if errors is None:
@@ -210,7 +211,7 @@ def _variances(covariance: Array, counting: BoolArray | None) -> Array:
 
 
 def _between(distance: Array, places: IntArray, values: Array, known: BoolArray) -> Array:
-    """Fill in (L, M) between the places worked out."""
+    """Interpolate (L, M) between the computed points."""
     out = np.full(values.shape, np.nan)
     for lap in range(len(values)):
         have = places[np.isfinite(values[lap, places])]
@@ -224,7 +225,8 @@ def delta_sigma(
 ) -> Array:
     """Sigma (L, M) s of each lap's delta: of four crossings, two of its own and two of the reference lap.
 
-    reference: its index; of a lap from elsewhere, None, nothing is known and only a lap's own crossings count.
+    reference: its index; None for a lap of another session, whose errors are unknown: then only the crossings of the
+    lap itself count.
     """
     places = sigma_places(distance)
     normal = curve.tangent(distance[places])
@@ -251,7 +253,7 @@ def delta_sigma(
 def as_reference_lap(
     traces: Traces, lap: int, name: str, curve: Curve, path: PlanPath, errors: JointPosition | None
 ) -> ReferenceLap:
-    """Return a lap as something that laps of other sessions can be compared with."""
+    """Return a lap as a reference for laps of other sessions."""
     elapsed = traces.t[lap] - traces.t[lap, 0]
     known = np.isfinite(elapsed)
     sigma = None

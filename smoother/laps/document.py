@@ -1,4 +1,4 @@
-"""Laps as files hold them: the rows of laps.csv, the laps of summary.json, the columns of trajectory.csv."""
+"""Laps in files: the rows of laps.csv, the laps of summary.json, the columns of trajectory.csv."""
 
 from typing import Any
 
@@ -12,8 +12,7 @@ from smoother.laps.results import Corner, Lap, LapAnalysis, Line, Statistics
 from smoother.laps.sigma import Drift
 from smoother.units import DEG
 
-# times and their sigmas have more digits than are shown: rounded twice, a lap would be a thousandth off the best lap
-# that it is, and not as sure
+# times and sigmas have more digits than are shown, because rounding twice may change the last digit
 TIME_DIGITS, DIGITS = 6, 3
 Document = dict[str, Any]
 LapColumns = tuple[pl.Series, Array]
@@ -61,7 +60,7 @@ _COLUMNS: dict[str, Any] = {
 
 
 def lap_table(analysis: LapAnalysis) -> pl.DataFrame:
-    """Return laps.csv: its header alone where there are no laps; what is unknown is empty."""
+    """Return laps.csv: its header alone without laps; unknown values are empty."""
     rows = lap_rows(analysis)
     if not rows:
         return pl.DataFrame(schema=_COLUMNS)
@@ -70,7 +69,7 @@ def lap_table(analysis: LapAnalysis) -> pl.DataFrame:
 
 
 def analysis_document(analysis: LapAnalysis, origin: Origin, drift: Drift | None = None) -> Document:
-    """Return what summary.json says under `lap_analysis`: lines, statistics, corners, official times."""
+    """Return `lap_analysis` of summary.json: lines, statistics, corners, official times."""
     return {
         "track": analysis.track,
         "length_m": None if analysis.reference is None else analysis.reference.length,
@@ -140,7 +139,7 @@ def _statistics(statistics: Statistics | None, analysis: LapAnalysis) -> Documen
 
 
 def _loss(loss: Loss, analysis: LapAnalysis) -> Document:
-    """What was different has the name of what was: `braking_earlier_m`, `minimum_slower_mps` and so on, each with ±."""
+    """A loss; differences have keys of their own: `braking_earlier_m`, `minimum_slower_mps` and so on, each with ±."""
     row: Document = {
         "lap": analysis.laps[loss.lap].number,
         "corner": loss.corner.number,

@@ -1,7 +1,7 @@
-"""Where on the reference line the kart was at every row: unwrapped track distance, held through neighbours and gaps.
+"""Map matching to the reference line: the unwrapped track distance of every row.
 
-The kart is followed from place to place, so that a parallel straight nearby never takes over; where it leaves the line
-it is looked for again, and found only where it also stays on the line in the right direction for a while.
+The kart is followed from point to point, so that a parallel straight nearby is not matched; after it left the line it
+is matched again only where it then stays on the line in the right direction for a while.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from smoother.disc import pieces
 from smoother.fit.plan_path import PlanPath
 from smoother.laps.reference import Curve
 
-EVERY = 0.15  # s between the places that are followed one by one
+EVERY = 0.15  # s between the followed points
 LOST_BEYOND = 15.0  # m from the line: half a track's width, the wander of the GPS, and some run-off
 FOUND_WITHIN = 12.0  # m
 AHEAD = (10.0, 20.0, 35.0)  # m of path that must also be on the line before the kart counts as found
-BACK, ON = 6.0, 10.0  # m that are searched behind and, beyond what was driven, ahead
-TOGETHER = 40  # places that are looked for together: 6 s
-ASTRAY = 8.0  # m by which line and distance driven may part over these
+BACK, ON = 6.0, 10.0  # m that are searched behind and, beyond the driven distance, ahead
+TOGETHER = 40  # points that are matched together: 6 s
+ASTRAY = 8.0  # m by which track distance and driven distance may differ over these
 ROWS_TOGETHER = 1 << 16  # of the path that are projected onto the line together
 SAME_DIRECTION = 0.4  # least cosine between path and line where the kart moves
 MOVING = 2.0  # m/s
@@ -38,19 +38,19 @@ class Followed:
 
     @cached_property
     def spread(self) -> float:
-        """Standard deviation (m) of where the kart was beside the line."""
+        """Standard deviation (m) of the lateral offset."""
         return float(np.sqrt(np.nanvar(self.lateral)))
 
 
 def follow(path: PlanPath, curve: Curve) -> Followed:
-    """Return where the path is on the line."""
+    """Return the path matched to the line."""
     rows = _rows(path)
     distance = _Pursuit(path, curve, rows).run()
     return _refined(path, curve, path.t[rows], distance)
 
 
 def refollow(path: PlanPath, before: Curve, followed: Followed, curve: Curve) -> Followed:
-    """Return where the path is on a line that lies within metres of the one it was followed on."""
+    """Return the path matched to a line within metres of the previous one."""
     at = before.line.distance
     there, _ = curve.project(before.line.position_n, at * curve.length / before.length)
     ends = np.append(at, before.length), np.append(there, there[0] + curve.length)
@@ -73,9 +73,9 @@ def _rows(path: PlanPath) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class _Ahead:
-    """The points of the line nearest to the next places, looked for together within `low` to `high` steps of the line.
+    """The points of the line nearest to the next points of the path, within `low` to `high` steps of the line.
 
-    All (K,): step, the nearest; is_near, whether it is not too far away; is_along, whether the kart went that way.
+    All (K,): step, the nearest; is_near, whether it is near enough; is_along, whether the directions agree.
     """
 
     low: list[int]
@@ -86,7 +86,7 @@ class _Ahead:
 
 
 class _Pursuit:
-    """Follows the path along the line, one place after the other."""
+    """Follows the path along the line, point by point."""
 
     def __init__(self, path: PlanPath, curve: Curve, rows: IntArray) -> None:
         self.path, self.curve, self.rows = path, curve, rows
@@ -118,9 +118,10 @@ class _Pursuit:
         return found
 
     def _next(self, k: int, last: float, driven: float) -> tuple[float | None, bool]:
-        """Distance of place k, `driven` m after a place at `last` m, None where it left the line; whether it is along.
+        """Distance of point k, `driven` m after a point at `last` m, None where it left the line; whether directions
+        agree.
 
-        Most places are found in those looked for together, which gives the same as looking for one after the other.
+        Most points are found by the joint search, with the same result as one by one.
         """
         low, high = int((last - BACK) / self.spacing), int((last + driven + ON) / self.spacing) + 1
         i = k - self.ahead_from
@@ -132,7 +133,7 @@ class _Pursuit:
         return self._between(int(self.rows[k]), low, high)
 
     def _between(self, row: int, low: int, high: int) -> tuple[float | None, bool]:
-        """The same for one row, looked for between two steps of the line."""
+        """The same for one row, searched between two steps of the line."""
         steps = np.arange(low, high + 1)
         away = self.points[self._index(steps)] - self.path.position_n[row]
         squared = np.einsum("ij,ij->i", away, away)
@@ -141,7 +142,7 @@ class _Pursuit:
         return (float(steps[best] * self.spacing) if is_near else None), self._along(row, int(steps[best])) > 0.0
 
     def _look_ahead(self, k: int, expected: float) -> _Ahead:
-        """Look for the places from k on, the first of which is expected at a distance, along the line."""
+        """Match the points from k on, the first of which is expected at a distance, to the line."""
         rows = self.rows[k : k + TOGETHER]
         driven = expected + self.path.driven[rows] - self.path.driven[rows[0]]
         low = np.floor((driven - BACK - ASTRAY) / self.spacing).astype(np.int64)
@@ -161,7 +162,7 @@ class _Pursuit:
         return float(self.path.velocity_n[row] @ tangent / max(self.path.speed[row], 1e-6))
 
     def _anywhere(self, row: int, expected: float) -> float | None:
-        """Distance of a kart that was lost: the place on the line that the path follows best for a while."""
+        """Distance of a kart that left the line: the point of the line that the path follows best for a while."""
         if self.path.speed[row] < MOVING:
             return None
         away = self.points - self.path.position_n[row]
@@ -184,7 +185,7 @@ class _Pursuit:
         return np.asarray(near[order][first])
 
     def _score(self, row: int, index: int) -> float:
-        """Mean distance (m) of path and line here and ahead, infinite where they part or point another way."""
+        """Mean distance (m) of path and line here and ahead, infinite where they separate or differ in direction."""
         path = self.path
         if self._along(row, index) < SAME_DIRECTION:
             return np.inf
@@ -195,11 +196,11 @@ class _Pursuit:
                 break
             steps = index + np.arange(round(0.6 * ahead / self.spacing), round(1.4 * ahead / self.spacing) + 1)
             there = self._index(steps)
-            apart = np.linalg.norm(self.points[there] - path.position_n[later], axis=1)
-            k = int(np.argmin(apart))
-            if apart[k] > FOUND_WITHIN or self._along(later, int(there[k])) < SAME_DIRECTION:
+            gap = np.linalg.norm(self.points[there] - path.position_n[later], axis=1)
+            k = int(np.argmin(gap))
+            if gap[k] > FOUND_WITHIN or self._along(later, int(there[k])) < SAME_DIRECTION:
                 return np.inf
-            away.append(float(apart[k]))
+            away.append(float(gap[k]))
         return float(np.mean(away))
 
     def _unwrapped(self, distance: float, expected: float) -> float:
@@ -231,13 +232,13 @@ def _refined(path: PlanPath, curve: Curve, t: Array, coarse: Array) -> Followed:
 
 
 def _between_times(at: Array, t: Array, values: Array | BoolArray) -> Array:
-    """Values (N,) over t (N,) at times `at` (K,), ascending, linearly: of a long recording that part alone is met."""
+    """Values (N,) over t (N,) at times `at` (K,), ascending, linearly; only that part of a long recording is read."""
     around = slice(max(int(np.searchsorted(t, at[0])) - 1, 0), int(np.searchsorted(t, at[-1])) + 1)
     return np.interp(at, t[around], values[around])
 
 
 def _filled(path: PlanPath, distance: Array, is_on: BoolArray) -> tuple[Array, BoolArray]:
-    """Distance between stretches on the line, spread over the distance driven; before and after them it is held."""
+    """Distance between stretches on the line, interpolated by driven distance; held before and after them."""
     known = np.flatnonzero(is_on)
     if known.size == 0:
         return np.full(len(distance), np.nan), is_on

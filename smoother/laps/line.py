@@ -1,8 +1,8 @@
-"""Timing lines: where a given one meets the track, and where to put one if none was given.
+"""Timing lines: the intersection of a given line with the track, and the position of one that is not given.
 
-A given line is trusted for its place and direction, not for its ends: fixes lie metres beside the truth, so a kart may
-pass beside the gate. What counts is where the line meets the reference line; a second straight that it also meets, if
-it was drawn long, is recognised by the direction or by being farther from the middle of the gate.
+Position and direction of a given line are used, but not its ends: fixes err by metres, so a kart may seem to pass
+beside the gate. The intersection with the reference line counts; a second straight that a long line also meets is
+recognised by its direction or by its distance from the middle of the gate.
 """
 
 import numpy as np
@@ -17,9 +17,9 @@ BESIDE = 12.0  # m beyond the ends of a gate at which a track may pass: three si
 HALF_WIDTH = 8.0  # m, of a line that was found: a wide kart track and the spread of its fixes
 BETWEEN = 0.45  # of the distance to another part of the track, which the line must not reach
 ELSEWHERE, ELSEWHERE_OF_SMALL = 40.0, 0.4  # m along the track, of the length of small ones: the other side of the round
-STRAIGHT = 1.0 / 120.0  # 1/m: what counts as straight where a line may be put
+STRAIGHT = 1.0 / 120.0  # 1/m, largest curvature of a straight for a line
 STRAIGHT_FOR = 10.0  # m before and after the line
-FAST = 0.9  # of the best place's speed: all such places are about as good, and the one that gives more laps is chosen
+FAST = 0.9  # of the best point's speed: all such points are equally good, and the one with more laps is chosen
 LEAST_OBLIQUE = 0.5  # least sine between line and track: 30 deg
 
 
@@ -45,14 +45,14 @@ def meeting_places(curve: Curve, ends: Array) -> Array:
 
 
 def oriented(name: str, ends: Array, forward: Array, source: str, distance: float = float("nan")) -> Line:
-    """Return the line with its ends named left and right as seen by someone who passes it in direction forward (2,)."""
+    """Return the line with its ends named left and right as seen in direction forward (2,)."""
     span = ends[0] - ends[1]
     left, right = (ends[0], ends[1]) if to_left(forward, span) > 0.0 else (ends[1], ends[0])
     return Line(name, left, right, source, distance)
 
 
 def both_ways(ends: Array) -> list[Array]:
-    """Return the two unit vectors (2,) across a line with ends (2, 2), either of which may be the way of travel."""
+    """Return the two unit vectors (2,) across a line with ends (2, 2), the two possible directions of travel."""
     span = ends[1] - ends[0]
     normal = np.array([-span[1], span[0]]) / np.linalg.norm(span)
     return [normal, -normal]
@@ -70,7 +70,7 @@ def line_across(curve: Curve, distance: float, name: str, spread: float = 0.0) -
 def best_place(curve: Curve, speed: Array, laps_at: Array) -> float:
     """Return the track distance where a line times best: fast and straight, and as many whole laps as possible.
 
-    speed, laps_at (P,) at the points of the line: usual speed in m/s, and how many laps a line there would give.
+    speed, laps_at (P,) at the points of the line: usual speed in m/s, and the number of laps for a line there.
     An error of position along the track becomes one of time divided by the speed.
     """
     is_closed = curve.line.is_closed

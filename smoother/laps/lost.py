@@ -1,9 +1,9 @@
-"""Where time was lost: the largest losses that are no luck, and what was done differently there.
+"""Where time was lost: the largest real losses, and the differences in driving there.
 
-Where none is, the likeliest ones are ranked, marked as unsure: those that are beyond their own sigma, by what is left.
+Where no loss is real, the likeliest are ranked and marked as uncertain: those above their own sigma, by the excess.
 
-What is said of a loss is only what is beyond two sigma of the difference between both laps, in the direction that
-loses: braked earlier, or slower into, in or out of the corner. It is what went with the loss, not a proof of its cause.
+A difference is listed if it is beyond two sigma, in the direction that loses time: braked earlier, or slower into, in
+or out of the corner. It accompanies the loss and need not be its cause.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.results import Corner, LapAnalysis
 
-MOST, FEW = 5, 3  # that are shown, real and unsure; the table has them all
+MOST, FEW = 5, 3  # that are shown: real ones, uncertain ones; the table has all
 CLEARLY = 2.0  # sigmas
 
 Kind = Literal["braking", "entry", "minimum", "exit"]
@@ -23,7 +23,7 @@ Kind = Literal["braking", "entry", "minimum", "exit"]
 
 @dataclass(frozen=True)
 class Difference:
-    """How a lap did it otherwise than the lap compared with: `by` m earlier (braking) or m/s slower, and its sigma."""
+    """A difference from the reference lap: `by` m earlier (braking) or m/s slower, and its sigma."""
 
     kind: Kind
     by: float
@@ -32,7 +32,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Loss:
-    """A real loss: lap, index in `LapAnalysis.laps`; the corner; s lost and its sigma; what was different."""
+    """A real loss: lap, index in `LapAnalysis.laps`; the corner; s lost and its sigma; the differences."""
 
     lap: int
     corner: Corner
@@ -42,13 +42,13 @@ class Loss:
 
 
 def largest_losses(laps: LapAnalysis, most: int = MOST) -> tuple[Loss, ...]:
-    """Return the largest real losses of the laps that are compared, largest first."""
+    """Return the largest real losses, largest first."""
     found = [loss for loss in _losses(laps) if loss.corner.is_real[loss.lap]]
     return tuple(sorted(found, key=lambda loss: -loss.lost)[:most])
 
 
 def likely_losses(laps: LapAnalysis, most: int = FEW) -> tuple[Loss, ...]:
-    """Return the likeliest losses, the surest large ones first, where none is real; else nothing."""
+    """Return the likeliest losses, by loss minus sigma, where none is real; else nothing."""
     found = list(_losses(laps))
     if any(loss.corner.is_real[loss.lap] for loss in found):
         return ()
@@ -65,7 +65,7 @@ def _losses(laps: LapAnalysis) -> Iterator[Loss]:
 
 
 def _differences(corner: Corner, lap: int, laps: LapAnalysis) -> tuple[Difference, ...]:
-    """What lap `lap` did otherwise in a corner than the lap compared with; nothing where that is of another session."""
+    """Differences of lap `lap` from the reference lap in a corner; none where that is of another session."""
     reference = laps.reference_lap
     if reference is None:
         return ()

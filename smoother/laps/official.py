@@ -10,17 +10,17 @@ from smoother.session.encoding import in_utf8
 from smoother.words import UNREADABLE
 
 NAMES = ("lap_time_s", "lap_time", "laptime", "time", "time_s")
-LONGEST = 3600.0  # s; beyond, a row holds something else than a lap time
-ODD_SHARE = 0.05  # of the characters that are none; in a file of another kind some digits stand alone, too
-MOST = 10_000  # laps; a day of a relay has fewer, and to compare them with ours takes the square of their number
-LONGEST_ROW = 4096  # characters; what is longer is damage
+LONGEST = 3600.0  # s; a larger value is no lap time
+ODD_SHARE = 0.05  # of undecodable characters; more are a file of another kind
+MOST = 10_000  # laps; the cost of matching grows with the square
+LONGEST_ROW = 4096  # characters; a longer one is damaged
 
 
 def load_official(path: Path) -> tuple[float, ...]:
     """Read lap times, as seconds or m:ss.mmm: of the column lap_time_s (or time), else of the last column.
 
-    Rows without a time are left out; decimals may follow a comma. Raises SessionError, with file and remedy, where
-    there is none at all.
+    Rows without a time are skipped; decimals may follow a comma. Raises SessionError, with file and remedy, without
+    any.
     """
     lines = _lines(path)
     delimiter = max(",;\t", key=lines[0].count) if lines else ","
@@ -45,7 +45,7 @@ def parse_time(text: str) -> float | None:
 
 
 def _cells(rows: list[list[str]]) -> list[str]:
-    """The cell of each row that may be a time; put together again where the comma in it was taken to end a cell."""
+    """The cell of each row that may be a time; joined again where a decimal comma split it."""
     if not rows:
         return []
     column, width = _column(rows[0]), len(rows[0])
@@ -74,7 +74,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _row(line: str, delimiter: str) -> list[str]:
-    """The cells of a line. Each is read by itself: a quotation mark without a partner must not swallow those behind."""
+    """The cells of a line. Each is parsed alone, so that an unbalanced quotation mark affects one row."""
     return next(csv.reader([line], delimiter=delimiter), []) if len(line) <= LONGEST_ROW else []
 
 

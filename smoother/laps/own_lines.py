@@ -1,7 +1,7 @@
-"""The lines that a recording brings along: used where they lie across the track, said where they do not.
+"""Timing lines stored in a recording: used where they lie across the track, else reported.
 
-Programs disagree about what they write there. The ends of a line, as RaceBox and VBOX do, can be timed on; RaceChrono
-writes a point of the track and one some 30 m along it, which is no line.
+Programs write different things there: RaceBox and VBOX the ends of a line, RaceChrono a point of the track and another
+one some 30 m along it, which is no line.
 """
 
 from collections.abc import Sequence
@@ -26,14 +26,14 @@ Ends = tuple[tuple[float, float], tuple[float, float]]  # two points (lat, lon),
 
 @dataclass(frozen=True)
 class OwnLine:
-    """A line as a recording states it: kind "start", "split", ..; its ends in each order that the numbers may mean."""
+    """A line of a recording: kind "start", "split", ..; its ends in each possible order of the coordinates."""
 
     kind: str
     orders: tuple[Ends, ...]
 
 
 def trusted_lines(own: Sequence[OwnLine], origin: Origin, path: PlanPath) -> GivenLines | Problem | None:
-    """Return the recording's own lines where its start can be trusted, else why not; None where it states none."""
+    """Return the lines of the recording where its start line is plausible, else the problem; None without lines."""
     starts = [line for line in own if line.kind == "start"]
     if not starts:
         return None
@@ -49,7 +49,7 @@ def trusted_lines(own: Sequence[OwnLine], origin: Origin, path: PlanPath) -> Giv
 
 
 def _across(line: OwnLine, origin: Origin, path: PlanPath) -> Array | None:
-    """Ends (2, 2) m of the line where it is passed like one, else None."""
+    """Ends (2, 2) m of the line where the path crosses it, else None."""
     for order in line.orders:
         lat, lon = np.array(order).T
         if np.abs(lat).max() > 90.0 or np.abs(lon).max() > 180.0:

@@ -1,4 +1,4 @@
-"""From crossings to laps: which stretch of the recording is which lap, and whether it counts."""
+"""From crossings to laps: the time span of each lap, and whether it counts."""
 
 from dataclasses import dataclass
 
@@ -13,14 +13,16 @@ from smoother.laps.timing import Crossings, crossings, gate_crossings
 from smoother.trajectory import Trajectory
 
 STANDING = 1.0  # m/s
-STOPPED_FOR = 2.0  # s of standing that make a lap one that does not count
+STOPPED_FOR = 2.0  # s at rest; such a lap does not count
 OFF_FOR = 1.0  # s away from the line
-PIT_FOR = 15.0  # s away from the line: longer than any excursion that one drives back from at once
-PIT_SPEED = 0.5  # of the usual speed: who is off the track and slower is in the pits or the gravel
-RUN_OFF = 8.0  # m beside the mean line, beyond what the GPS may be wrong: the track is not wider
+PIT_FOR = 15.0  # s away from the line: longer than an excursion
+PIT_SPEED = 0.5  # of the usual speed: slower and off the track is in the pits or the gravel
+RUN_OFF = 8.0  # m beside the mean line, beyond the GPS error
 BRIDGED = 3.0  # m, sigma of the line up to which the inertial sensor has bridged a gap
-SHORTER = 0.93  # of the lap's length, driven: less is a short cut
-INWARDS = 1.5  # m farther in than usual all the way round, which is no short cut: rounds of 40 m have 9 m less by it
+SHORTER = 0.93  # of the length of the lap: a shorter driven distance is a short cut
+INWARDS = (
+    1.5  # m farther inside than usual all the way round, which is no short cut: a lap of 40 m is 9 m shorter by it
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +44,9 @@ class Passage:
 
 
 def find_passages(path: PlanPath, circuit: Circuit, blind: BoolArray, beside: float) -> tuple[Passage, ...]:
-    """Return all laps in time order, with what was driven before the first crossing and after the last.
+    """Return all laps in time order, with the parts before the first crossing and after the last.
 
-    blind (N,): rows in holes of the fixes. beside m: how far beyond the ends of a line its passage may seem to lie.
+    blind (N,): rows in gaps of the fixes. beside m: tolerance beyond the ends of a line.
     """
     if circuit.finish_line is not None:
         return _runs(path, circuit, beside)
@@ -80,7 +82,7 @@ def _runs(path: PlanPath, circuit: Circuit, beside: float) -> tuple[Passage, ...
 def reasons(
     passage: Passage, path: PlanPath, circuit: Circuit, trajectory: Trajectory, fixes: FixPath, usual_speed: float
 ) -> tuple[Reason, ...]:
-    """Return why a lap does not count, nothing if it does."""
+    """Return the reasons why a lap does not count, none if it does."""
     found: list[Reason] = []
     if not passage.ends_at_line:
         found.append("in-lap")
@@ -109,7 +111,7 @@ def reasons(
 
 
 def _least_driven(length: float) -> float:
-    """What a lap of `length` m is driven at least, m; a line farther in is shorter by as much on a small round."""
+    """Least driven distance of a lap of `length` m."""
     return min(SHORTER * length, length - 2.0 * np.pi * INWARDS)
 
 

@@ -1,4 +1,4 @@
-"""The path of a trajectory in plan, its level accelerations, and where it passes a hole of the fixes."""
+"""The path of a trajectory in plan, its level accelerations, and its gaps without fixes."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ SMOOTHED_OVER = 0.5  # s, of the cubics that give acceleration where there is no
 def interpolated(at: Array, t: Array, values: Array) -> Array:
     """Return values (N,) over t (N,) at a few times (K,), linearly, held beyond the ends.
 
-    What numpy's interp gives, which copies t and values when they are read-only: a second for each thousand questions.
+    Like numpy.interp, which copies read-only t and values in every call.
     """
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     slope = (values[k + 1] - values[k]) / (t[k + 1] - t[k])
@@ -60,7 +60,7 @@ def _from_velocity(path: PlanPath) -> Array:
 
 
 def in_gaps(t: Array, fixes: FixPath) -> BoolArray:
-    """Mask (N,) of times t (N,) s in a hole of the fixes."""
+    """Mask (N,) of times t (N,) s in a gap of the fixes."""
     if len(fixes.t) < 2:
         return np.zeros(len(t), dtype=np.bool_)
     inside = np.zeros(len(t), dtype=np.bool_)

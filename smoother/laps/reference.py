@@ -18,7 +18,7 @@ from smoother.laps.results import ReferenceLine
 SPACING = 1.0  # m between points of the line
 SMOOTHED_OVER = 2.0  # m, one sigma: steps where lap ends were joined, not corners, which are longer
 CURVATURE_SMOOTHED_OVER = 4.0  # m, one sigma; the shortest corner of a kart track is 10 m long
-BENT = 0.9  # of the radius: beyond this far inside a corner, places on the line are no longer unique
+BENT = 0.9  # of the radius: farther inside a corner the projection is not unique
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Curve:
 
 def line_through(points: Array, up: Array, is_closed: bool = True) -> ReferenceLine:
     """Return the smooth line through `points` (K, 2) with heights `up` (K,), about a metre apart, by arc length."""
-    for _ in range(2):  # resampling changes the length a little; after the second time it is that of the spline
+    for _ in range(2):  # resampling changes the length a little; twice is enough
         points, up = _evenly(points, up, is_closed)
     smooth = gaussian_mean(points, SMOOTHED_OVER / SPACING, is_closed=is_closed)
     if not is_closed:
@@ -130,7 +130,8 @@ def shifted(line: ReferenceLine, distance: float) -> ReferenceLine:
 
 
 def first_line(path: PlanPath, start: float, end: float) -> ReferenceLine:
-    """Return the closed line along one passage; the gap at its ends, where the GPS wandered, is spread over it all."""
+    """Return the closed line along one passage; the gap between its ends, from the wander of the GPS, is distributed
+    over the line."""
     t = np.linspace(start, end, max(16, round((end - start) * 20.0)))
     points, _ = path.at(t)
     driven = np.interp(t, path.t, path.driven)

@@ -3,8 +3,8 @@
 Conventions of everything here: SI and radians; plan coordinates are north and west in n; track distance is the metres
 along the reference line from the start/finish line; lateral offsets are positive to the left of the direction of
 travel; L is the number of laps in `LapAnalysis.laps`, S the number of sectors, M the length of the distance grid, C
-the number of corners, N the rows of the trajectory. NaN is what could not be known. Every sigma is one standard
-deviation. Nothing here computes.
+the number of corners, N the rows of the trajectory. NaN is an unknown value. Every sigma is one standard
+deviation. Nothing is computed here.
 """
 
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ class Line:
     """A timing line in plan. left_n, right_n (2,) m north and west in n, of its ends as the driver sees them.
 
     `source`: "given" (option or session.toml's file), "library" (a track that comes with the program), "found".
-    distance: track distance of the line, m, NaN where there is no reference line.
+    distance: track distance of the line, m, NaN without a reference line.
     """
 
     name: str
@@ -45,12 +45,12 @@ class Line:
 class Lap:
     """One lap, whether it counts or not. Times on the session clock.
 
-    number: 0 for what was driven before the first crossing, 1 for the first whole lap, counting on. start, end s: of
+    number: 0 for the part before the first crossing, 1 for the first whole lap, counting on. start, end s: of
     the lap's crossings, or of the recording where one is missing. time s and sigma s: NaN unless both ends are
     crossings. sector_time, sector_sigma (S,) s, NaN for a sector not crossed at both ends; sector_gap_sigma (S,) s, of
-    the difference from the same sector of the best lap, without what both share of the GPS offset, 0 for that lap.
+    the difference from the same sector of the best lap, in which the common GPS error cancels, 0 for that lap.
     reasons: empty if the lap counts. raw_time s: between straight-line crossings of the raw fixes, NaN where they have
-    a gap. distance m, driven. is_from_grid: it was begun far slower than the others, as from a standing start.
+    a gap. distance m, driven. is_from_grid: it starts far slower than the others, as from a standing start.
     """
 
     number: int
@@ -70,7 +70,7 @@ class Lap:
 
     @property
     def is_comparable(self) -> bool:
-        """Whether the lap is compared with others: what a standing start costs is no mistake."""
+        """Whether the lap is compared with others; laps from a standing start are not."""
         return self.is_valid and not self.is_from_grid
 
     @property
@@ -122,14 +122,12 @@ class Traces:
 
     t s, session clock, when the lap was at that distance; speed m/s; delta s against the reference lap, positive is
     slower, with delta_sigma; lateral m left of the reference line, with lateral_sigma, of the difference between the
-    lap and the line, the GPS offset of both counted; place_sigma m, a lap's share of how unsure it is that it and
-    another were at the same place (of two, the root of the sum of their squares); is_off_line: where |lateral| is above
-    two of its sigma (draw the rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level;
-    yaw_rate rad/s of the kart.
-    zone: -1 braking, +1 driving, 0 neither. sideslip rad, heading minus course, both clockwise (positive: the kart
-    slides to its left), with sideslip_sigma; balance rad/s, yaw rate minus that of the path, positive: turns more to
-    the left than the path.
-    Both all NaN where not observable (no inertial sensor, or attitude too unsure).
+    lap and the line, including the GPS error of both; place_sigma m, contribution of a lap to the sigma of the distance
+    between two laps (the root of the sum of squares of both); is_off_line: where |lateral| is above two of its sigma
+    (draw the rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level; yaw_rate rad/s of
+    the kart. zone: -1 braking, +1 driving, 0 neither. sideslip rad, heading minus course, both clockwise (positive: the
+    kart slides to its left), with sideslip_sigma; balance rad/s, yaw rate minus that of the path, positive: turns more
+    to the left than the path. Both all NaN where not observable (no inertial sensor, or attitude too unsure).
     """
 
     distance: Array
@@ -152,17 +150,17 @@ class Traces:
 
 @dataclass(frozen=True, eq=False)
 class Corner:
-    """One corner and what every lap did in it. Distances m on the reference line; per lap (L,), NaN where unknown.
+    """One corner and the values of every lap in it. Distances m on the reference line; per lap (L,), NaN where unknown.
 
     number from 1; start, apex, end: where curvature begins, is greatest, and ends; turns_left; radius m at the apex.
     segment (2,) m: the stretch whose time is compared, from the braking zone before to the acceleration after; the
     segments of all corners tile the lap. entry_speed at `start`, min_speed, exit_speed at `end` m/s, each with its
-    sigma, in which the place on the track is as unsure as it is. braking_point m, NaN where the lap did not brake,
+    sigma, which contains the position error. braking_point m, NaN where the lap did not brake,
     braking_sigma m. time s spent in the segment; time_lost s against the reference lap, time_lost_sigma; is_real:
-    |time_lost| above real_from of them, the same in all corners, so many that few of all that is called real is luck.
-    slide rad, mean sideslip between start and end, positive: the nose points into the corner, with slide_sigma.
-    usual_lost s, the median of the other laps that count, with usual_lost_sigma, in which the reference lap's error
-    counts as one; usual_is_real as above, among all corners.
+    |time_lost| above real_from sigmas, the same in all corners, at a false discovery rate of 5 %.
+    slide rad, mean sideslip between start and end, positive: the kart points into the corner, with slide_sigma.
+    usual_lost s, the median of the other laps that count, with usual_lost_sigma, which contains the error of the
+    reference lap; usual_is_real as above, among all corners.
     """
 
     number: int
@@ -194,15 +192,15 @@ class Corner:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Figures of the laps that count; NaN where there are too few.
+    """Statistics of the laps that count; NaN where there are too few.
 
     best_lap: index in `laps` of the best, None without; best, best_sigma s. theoretical s: sum of the best sectors with
     the expected gain from picking the least of noisy times removed, theoretical_sigma; theoretical_raw s without
-    that correction. rolling s: fastest whole lap from any place of the track to the same place, corrected likewise,
-    rolling_sigma; rolling_raw s as it was seen, rolling_from m, the track distance where that began, and
-    rolling_t s when. mean, median s; spread s, standard
+    that correction. rolling s: fastest whole lap from any point of the track to the same point, corrected likewise,
+    rolling_sigma; rolling_raw s as measured, rolling_from m, the track distance of its start, and
+    rolling_t s, its time. mean, median s; spread s, standard
     deviation of the laps with the timing noise removed where that is known and not assumed, 0 within it;
-    within_tenth: how many lie within 0.1 s of the best, itself counted; counted: how many count.
+    within_tenth: number within 0.1 s of the best, including the best; counted: number of laps that count.
     """
 
     best_lap: int | None
@@ -225,8 +223,8 @@ class Statistics:
 
 @dataclass(frozen=True)
 class OfficialTime:
-    """An official (transponder) time s and the lap it belongs to: index in `laps`, None if none fits; difference s of
-    our time minus the official one, with our sigma."""
+    """An official (transponder) time s and the lap it belongs to: index in `laps`, None if none fits; difference s:
+    time of the lap minus the official one, with the sigma of the former."""
 
     number: int
     time: float
@@ -237,14 +235,14 @@ class OfficialTime:
 
 @dataclass(frozen=True, eq=False)
 class LapAnalysis:
-    """Everything that laps say about a session.
+    """The lap analysis of a session.
 
     laps in time order, also those that do not count. start_line, and sector_lines where a sector ends and the next
     begins (S - 1 of them); finish_line of a point-to-point track. reference, traces, statistics: None without a loop or
     without laps. reference_lap: index in `laps` of the lap that deltas refer to, None when it comes from another
-    session (then `reference_name` says from where) or there is none. lap_of_row (N,) number of the lap of each row
+    session (then `reference_name` names it) or there is none. lap_of_row (N,) number of the lap of each row
     of the trajectory, -1 where none; lap_distance (N,) m, track distance since the line, NaN away from the track.
-    track: its name, empty if unknown. problems: what was handled, for people. no_sideslip: why there is none.
+    track: its name, empty if unknown. problems of the analysis. no_sideslip: the reason if there is none.
     """
 
     laps: tuple[Lap, ...]
@@ -267,7 +265,7 @@ class LapAnalysis:
 
     @property
     def sectors(self) -> int:
-        """How many sectors a lap has, at least one when there is a line."""
+        """Number of sectors of a lap, at least one with a line."""
         return len(self.sector_lines) + 1 if self.start_line is not None else 0
 
 
@@ -286,7 +284,7 @@ class FixPath:
 
 @dataclass(frozen=True, eq=False)
 class GivenLines:
-    """Lines that were stated, in the session's n: start/finish, sectors in driving order, finish if it is elsewhere.
+    """Given lines, in the session's n: start/finish, sectors in driving order, a separate finish.
 
     Ends are (2, 2) m: two points, in either order (the direction of travel decides which is left). name of the track.
     """
@@ -300,8 +298,8 @@ class GivenLines:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLap:
-    """A lap from elsewhere to compare with: elapsed s since its line at track distance m (K,) on the same line; sigma
-    (K,) s of elapsed, None where unknown; name says whose it is."""
+    """A reference lap of another session: elapsed s since its line at track distance m (K,) on the same line; sigma
+    (K,) s of elapsed, None where unknown; name of the lap."""
 
     distance: Array
     elapsed: Array

@@ -1,9 +1,9 @@
-"""The rolling best: the fastest lap from any place of the track to the same place, without the luck of the timing.
+"""The rolling best: the fastest lap from any point of the track to the same point, without selection bias.
 
-The least of many times that are each a little wrong lies below the least of the true ones, and from any place there are
-many more of them than laps. As for the theoretical best, samples of the true times are drawn from what is likely, given
-the seen ones and the covariance of their errors, and each has its own least. Two windows share the stretch that is in
-both: true times go together as moving sums over one lap do. Sources: as in :mod:`smoother.laps.theoretical`.
+The least of many noisy times is below the least of the true ones, and there are many more starting points than laps. As
+for the theoretical best, true times are sampled given the measured ones and the covariance of their errors, and each
+sample has its own least time. Overlapping windows are correlated like moving sums over one lap. Sources: as in
+:mod:`smoother.laps.theoretical`.
 """
 
 from dataclasses import dataclass
@@ -19,15 +19,15 @@ from smoother.laps.theoretical import SAMPLES, SEED, SPREADS, slowed, spreads
 from smoother.trajectory import JointPosition
 
 BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
-PLACES = 24  # of a lap from which windows are looked at; what lies between two of them has most in common with both
-ROUGH = 1e-6  # share of the variance of true times that no two windows have in common, without which rounding decides
-MOST_WINDOWS = 144  # of all laps that may be the best; the slower ones are not
+PLACES = 24  # starting points of a lap; neighbouring ones are highly correlated
+ROUGH = 1e-6  # share of the variance of true times that is uncorrelated, against rounding errors
+MOST_WINDOWS = 144  # that may be the best; slower ones are not used
 
 
 @dataclass(frozen=True)
 class RollingBest:
-    """Fastest lap from any place to the same place: time s without luck, its sigma s; as it was seen: raw s, from which
-    track distance m it began, and when, t s. All NaN where there is none."""
+    """Fastest lap from any point to the same point: time s without selection bias, its sigma s; as measured: raw s, the
+    track distance m of its start, and its time t s. All NaN where there is none."""
 
     time: float = np.nan
     sigma: float = np.nan
@@ -55,7 +55,7 @@ def rolling_best(
 
 
 def _fastest(laps: tuple[Lap, ...], traces: Traces) -> RollingBest:
-    """The fastest window as it was seen; a lap from line to line is one."""
+    """The fastest window as measured; a lap from line to line is one."""
     best = RollingBest(raw=np.inf)
     for i in _pairs(laps):
         around = traces.t[i + 1] - traces.t[i]
@@ -70,7 +70,7 @@ def _fastest(laps: tuple[Lap, ...], traces: Traces) -> RollingBest:
 
 
 def _pairs(laps: tuple[Lap, ...]) -> list[int]:
-    """Laps that a window may begin on, to end on the next."""
+    """Laps on which a window may start, ending on the next."""
     return [i for i in range(len(laps) - 1) if not BROKEN & set(laps[i].reasons) | BROKEN & set(laps[i + 1].reasons)]
 
 
@@ -83,7 +83,7 @@ def _sigma(seen: RollingBest, curve: Curve, path: PlanPath, errors: JointPositio
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """The quickest windows (W,): index of the lap each begins on and of its place among those of the traces."""
+    """The quickest windows (W,): index of the lap of its start and of the point of the traces."""
 
     lap: IntArray
     place: IntArray
@@ -117,8 +117,8 @@ def _least(
 
 
 def _true_times(seen: Array, noise: Array, together: Array, usual: Array, variance: float) -> Array:
-    """Samples (SPREADS, SAMPLES, W) s of the true times of windows seen (W,) with a covariance of errors `noise` (W, W)
-    and correlations of true times `together` (W, W). usual (K,) s: lap times, timed with `variance` s^2.
+    """Samples (SPREADS, SAMPLES, W) s of the true times of measured windows (W,) with a covariance of errors `noise`
+    (W, W) and correlations of true times `together` (W, W). usual (K,) s: lap times, timed with `variance` s^2.
 
     In the axes in which both covariances are diagonal, a spread only weighs one against the other.
     """

@@ -20,7 +20,8 @@ SHORTEST = 0.12  # of the lap
 def found_sectors(curve: Curve, corners: tuple[Corner, ...], counting: BoolArray) -> tuple[Line, ...]:
     """Return the lines between :data:`SECTORS` sectors, at the braking points nearest to equal parts of the lap.
 
-    There the kart is fastest, which times best, and a sector holds whole corners. counting (L,) bool: usual laps.
+    There the kart is fastest, which makes timing most accurate, and a sector contains whole corners. counting (L,)
+    bool: usual laps.
     """
     places = np.array([_braking_place(corner, counting) for corner in corners if corner.segment[0] > 0.0])
     lines: list[Line] = []
@@ -46,7 +47,7 @@ def line_times(
 ) -> Array:
     """Times (L, S + 1) s at which each lap passed the start, each sector line and the finish; NaN where it did not.
 
-    beside m: how far beyond the ends of a line its passage may seem to lie, as for :func:`find_passages`.
+    beside m: tolerance beyond the ends of a line, as for :func:`find_passages`.
     """
     out = np.full((len(passages), len(lines) + 2), np.nan)
     for i, lap in enumerate(passages):

@@ -1,7 +1,7 @@
-"""Sideslip, where heading and direction of travel are known well enough to tell them apart, and why not elsewhere.
+"""Sideslip where heading and direction of travel are accurate enough, else the reason why there is none.
 
-The direction of travel is that of the antenna. How the box sits in the kart was found from the same motion, so a
-sideslip that is there on the straights as well is taken for a box that sits askew, and does not show.
+The direction of travel is that of the antenna. The mounting is identified from the same motion, so a constant
+sideslip, also on straights, is attributed to the mounting and is not observable.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ OBSERVABLE = 2.5 * DEG  # rad, sigma of sideslip: a kart slides 3 to 8 deg
 
 
 def sideslip_of(trajectory: Trajectory, path: PlanPath, left: Array) -> tuple[Array, Array, Array]:
-    """Return sideslip, its sigma (N,) rad, and balance (N,) rad/s; NaN where the attitude does not show them.
+    """Return sideslip, its sigma (N,) rad, and balance (N,) rad/s; NaN where they are not observable.
 
     left (N,) m/s^2: level acceleration to the left of the path.
     """
@@ -38,7 +38,7 @@ def sideslip_of(trajectory: Trajectory, path: PlanPath, left: Array) -> tuple[Ar
 
 
 def why_hidden(trajectory: Trajectory, path: PlanPath) -> str:
-    """Return why there is no sideslip, for people; empty where there is."""
+    """Return why there is no sideslip, as text; empty where there is."""
     mounting = trajectory.report.identified.get("R_bs")
     if trajectory.report.mode != "full":
         return "no motion sensor could be used"
@@ -70,10 +70,10 @@ def _sigma(trajectory: Trajectory, path: PlanPath) -> Array:
 
 
 def outward(sideslip: Array, sigma: Array, inside: BoolArray, turns_left: bool) -> tuple[Array, Array]:
-    """Return the mean slide (L,) rad of each lap at the places `inside` (M,) of a corner, and its sigma (L,) rad.
+    """Return the mean slide (L,) rad of each lap at the points `inside` (M,) of a corner, and its sigma (L,) rad.
 
-    sideslip, sigma (L, M) rad. Positive: the nose points into the corner, further than the path. Errors of the heading
-    last longer than a corner, so the mean is no surer than each place. NaN where part of it is not observable.
+    sideslip, sigma (L, M) rad. Positive: the kart points into the corner. Errors of the heading last longer than a
+    corner, so the sigma of the mean is that of a point. NaN where part of it is not observable.
     """
     there, spread = sideslip[:, inside], sigma[:, inside]
     if there.shape[1] == 0:

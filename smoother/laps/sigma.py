@@ -1,9 +1,9 @@
-"""How sure times are: the covariance of crossing times from that of the positions, whoever knows it.
+"""Sigmas of times: the covariance of crossing times from that of positions.
 
 At a crossing the error of the position along the direction of travel becomes one of time, dt = -(n . dp) / (n . v). Two
-crossings share most of a GPS' slow offset, so that their difference is surer than either; how much is in the joint
-covariance. The estimator's own is best ("joint"); results read from files carry how the position error drifts with
-time ("stored"); failing both, a model of the receiver's offset does ("model").
+crossings share most of the slow GPS error, so their difference is more accurate than either; the joint covariance
+quantifies this. It comes from the estimator ("joint"), from the drift of the position error stored with results
+("stored"), or else from a model of the receiver's slow error ("model").
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,44 +16,44 @@ from smoother.arrays import Array, BoolArray, frozen, require_increasing
 from smoother.laps.results import SigmaSource
 from smoother.trajectory import JointPosition, Trajectory
 
-OFFSET_SIGMA, OFFSET_TAU = 2.0, 60.0  # m, s: of receivers in general, where a session says nothing of its own
-TRACK_TAU = 1.0  # s over which the fast part of the position error is forgotten: some fixes
-SLOWEST = 1.0  # m/s; a time is not known from a position that hardly changes
+OFFSET_SIGMA, OFFSET_TAU = 2.0, 60.0  # m, s: of receivers in general, unless identified
+TRACK_TAU = 1.0  # s, time constant of the fast part of the position error: some fixes
+SLOWEST = 1.0  # m/s; slower crossings have no accurate time
 LAGS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0)  # s at which drift is stored
 SAMPLES = 40  # pairs of positions per lag
-SURE = 2.0  # sigmas of one difference from which on it is real
-LUCK = 0.05  # of what is called real, where many differences are looked at together, may be luck
-TOGETHER = 240  # positions whose covariance is asked for together; beyond, their pairs cost more than the asking
+SIGNIFICANT_SIGMAS = 2.0  # of one difference that is real
+FALSE_DISCOVERY_RATE = 0.05  # among many differences that are called real
+TOGETHER = 240  # positions whose covariance is computed in one call
 
 
-def least_real(sigma: float | Array) -> float | Array:
-    """Return how large a difference that is looked at alone must be to be more than the noise of its two sides."""
-    return SURE * sigma
+def least_significant(sigma: float | Array) -> float | Array:
+    """Return the least significant size of a single difference with this sigma."""
+    return SIGNIFICANT_SIGMAS * sigma
 
 
-def sure_from(difference: Array, sigma: Array) -> float:
-    """Return from how many sigmas on differences that are looked at together, of any shape, are real: never below SURE.
+def significance_threshold(difference: Array, sigma: Array) -> float:
+    """Return the number of sigmas above which differences of one table, of any shape, are real: SIGNIFICANT_SIGMAS or
+    more.
 
-    Of many comparisons some exceed two sigmas by luck alone, and those of one table have a lap in common, whose error
-    shifts them all at once, some up and some down. The false discovery rate is held at LUCK whatever they have in
-    common. Source: Benjamini and Yekutieli, The control of the false discovery rate in multiple testing under
-    dependency, 2001. A difference without a sigma above zero is none.
+    Of many comparisons some exceed two sigmas by chance, and those of one table share the error of the reference lap.
+    The false discovery rate is limited under any dependency. Source: Benjamini and Yekutieli, The control of the false
+    discovery rate in multiple testing under dependency, 2001. A difference without a positive sigma is ignored.
     """
     known = np.isfinite(difference) & np.isfinite(sigma) & (sigma > 0.0)
     ratio = np.sort(np.abs(difference[known] / sigma[known]))[::-1]
     if not ratio.size:
-        return SURE
+        return SIGNIFICANT_SIGMAS
     rank = np.arange(1, len(ratio) + 1)
-    share = LUCK * rank / (len(ratio) * np.sum(1.0 / rank))
+    share = FALSE_DISCOVERY_RATE * rank / (len(ratio) * np.sum(1.0 / rank))
     needed = np.array([-NormalDist().inv_cdf(0.5 * p) for p in share.tolist()])
     passing = np.flatnonzero(ratio >= needed)
-    return max(SURE, float(needed[passing[-1] if passing.size else 0]))
+    return max(SIGNIFICANT_SIGMAS, float(needed[passing[-1] if passing.size else 0]))
 
 
-def are_real(difference: Array, sigma: Array, sure: float) -> BoolArray:
-    """Mask of differences beyond `sure` of their sigmas; one without a sigma above zero is not."""
+def are_real(difference: Array, sigma: Array, threshold: float) -> BoolArray:
+    """Mask of differences beyond `threshold` sigmas; False without a positive sigma."""
     with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(difference) >= sure * sigma) & np.isfinite(sigma) & (sigma > 0.0))
+        return np.asarray((np.abs(difference) >= threshold * sigma) & np.isfinite(sigma) & (sigma > 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class OffsetModel:
     s. Source: autocorrelation of receivers carried beside RTK; see docs/laps.md.
 
     walk m^2/s: where speed was measured and used, the change of the position error is also bounded by the random walk
-    that adding up its noise makes; infinite where positions were followed alone.
+    of its integrated noise; infinite where the speed was not measured.
     """
 
     t: Array
@@ -73,15 +73,15 @@ class OffsetModel:
 
     def covariance(self, t: Array, direction_n: Array) -> Array:
         """See :class:`smoother.trajectory.JointPosition`."""
-        apart = np.abs(t[:, None] - t[None, :])
+        lag = np.abs(t[:, None] - t[None, :])
         fast = np.interp(t, self.t, self.track)
-        wandered = 2.0 * self.sigma**2 * (1.0 - np.exp(-apart / self.tau))
+        change = 2.0 * self.sigma**2 * (1.0 - np.exp(-lag / self.tau))
         if np.isfinite(self.walk):
-            walked = self.walk * apart
-            wandered = wandered * walked / np.maximum(wandered + walked, 1e-300)
-        offset = self.sigma**2 - 0.5 * wandered
-        forgotten = np.exp(-apart / TRACK_TAU)
-        return np.asarray((direction_n @ direction_n.T) * (offset + fast[:, None] * fast[None, :] * forgotten))
+            walk_change = self.walk * lag
+            change = change * walk_change / np.maximum(change + walk_change, 1e-300)
+        offset = self.sigma**2 - 0.5 * change
+        decay = np.exp(-lag / TRACK_TAU)
+        return np.asarray((direction_n @ direction_n.T) * (offset + fast[:, None] * fast[None, :] * decay))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class Drift:
 def position_errors(
     trajectory: Trajectory, fix_interval: float, stored: Drift | None = None
 ) -> tuple[JointPosition | None, SigmaSource]:
-    """Return who knows the covariance of positions at several times, and which kind it is; None without any sigma.
+    """Return the source of the covariance of positions at several times, and its kind; None without any sigma.
 
     fix_interval s: usual time between fixes.
     """
@@ -132,7 +132,7 @@ def position_errors(
 
 
 def _walk(trajectory: Trajectory, fix_interval: float) -> float:
-    """Variance (m^2/s) that independent errors of the speed at every fix add up to."""
+    """Variance (m^2/s) of the integrated independent errors of the speed at the fixes."""
     noise = _identified(trajectory, "gps_velocity_noise")
     if trajectory.report.mode != "full" or noise is None or not np.isfinite(fix_interval):
         return np.inf
@@ -140,7 +140,7 @@ def _walk(trajectory: Trajectory, fix_interval: float) -> float:
 
 
 def _identified(trajectory: Trajectory, name: str) -> float | None:
-    """An identified figure, the horizontal one of three."""
+    """An identified value, of three the horizontal one."""
     identified = trajectory.report.identified.get(name)
     if identified is None:
         return None
@@ -177,8 +177,8 @@ def time_covariances(errors: JointPosition, groups: Sequence[Crossed]) -> list[A
 def covariances(errors: JointPosition, t: Sequence[Array], direction_n: Sequence[Array]) -> Iterator[Array]:
     """Yield the covariance (m, m) m^2 of positions at t (m,) s along direction_n (m, 3), for each of several groups.
 
-    Groups are asked for together: a question costs more than its size does. What several of them hold, as the crossings
-    of the lap that all others are compared with, is asked for once.
+    Groups are computed together, because a call costs more than its size; positions that several of them contain, as
+    the crossings of the reference lap, are computed once.
     """
     ends = np.cumsum([len(group) for group in t])
     last = 0
@@ -203,7 +203,7 @@ def drift_of(errors: JointPosition, start: float, end: float) -> Drift:
     squared, absolute = [0.0], []
     for lag in lags:
         at = np.linspace(start, end - lag, SAMPLES)
-        angle = np.pi * np.arange(SAMPLES) * 0.618  # golden: all directions, in no step with the laps
+        angle = np.pi * np.arange(SAMPLES) * 0.618  # golden angle: all directions, incommensurate with the laps
         direction = np.stack([np.cos(angle), np.sin(angle), np.zeros(SAMPLES)], axis=1)
         covariance = errors.covariance(np.concatenate([at, at + lag]), np.concatenate([direction, direction]))
         own = np.diag(covariance)

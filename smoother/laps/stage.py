@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from smoother.trajectory import Trajectory
 
 LAPS, OFFICIAL = "laps.csv", "official.csv"
-LEAST_RATE = 25.0  # Hz; between rows that are farther apart the path is not known to the centimetre
-USUAL_RATE = 50.0  # Hz; more rows tell no more about laps
+LEAST_RATE = 25.0  # Hz; at lower rates interpolation errs by centimetres
+USUAL_RATE = 50.0  # Hz; higher rates do not improve laps
 Document = dict[str, object]
 
 
 def steps(rate: float) -> int:
-    """How many times `rate` the session has to be estimated at, so that laps can be timed on it."""
+    """Return the multiple of `rate` at which the session has to be estimated for lap timing."""
     return 1 if rate >= LEAST_RATE else int(-(-LEAST_RATE // rate))
 
 
 class Stated:
-    """What a session says about its laps: the tracks it may be on, official times. Checked before anything is done.
+    """Stated tracks and official times of a session, checked before smoothing.
 
-    problems : what it says that could not be used.
+    problems : of statements that could not be used.
     """
 
     def __init__(
@@ -49,9 +49,9 @@ class Stated:
 
 
 def read_stated(config: SessionConfig, directory: Path, recording: Path | None = None) -> Stated:
-    """Return what session.toml and official.csv say, and without a track the recording itself.
+    """Return tracks and times of session.toml and official.csv, and without a track those of the recording.
 
-    Raises SmootherError when a file that is meant is unusable.
+    Raises SmootherError when a named file is unusable.
     """
     tracks = () if config.track is None else _named(config.track, directory)
     own = () if tracks or recording is None else _own(recording)
@@ -60,9 +60,9 @@ def read_stated(config: SessionConfig, directory: Path, recording: Path | None =
 
 
 def _named(track: str, directory: Path) -> tuple[TrackFile, ...]:
-    """The tracks that session.toml means; none for a name of a track that is not known here.
+    """The tracks that session.toml names; none for an unknown name.
 
-    Raises ConfigError for a known one with a wrong letter, whose line would be missed in silence.
+    Raises ConfigError for a name similar to that of a known track.
     """
     from smoother.laps.tracks import named_tracks, nearest_known
 
@@ -73,7 +73,7 @@ def _named(track: str, directory: Path) -> tuple[TrackFile, ...]:
 
 
 def _only_a_name(track: str | None) -> tuple[Problem, ...]:
-    """What to say of a track that is called by a name which tells no line."""
+    """The problem of a track with a name but without lines."""
     from smoother.laps.tracks import library
     from smoother.samples import Problem
 
@@ -92,7 +92,7 @@ def _official(path: Path) -> tuple[float, ...]:
 
 
 def _of_beacon(recording: Path) -> tuple[float, ...]:
-    """The lap times that the logger took itself, where the recording, a file or a folder, holds them."""
+    """The lap times of the logger itself, where the recording, a file or a folder, contains them."""
     from smoother.session.files import list_files
 
     try:
@@ -107,7 +107,7 @@ def _of_beacon(recording: Path) -> tuple[float, ...]:
 
 
 def _own(recording: Path) -> tuple[OwnLine, ...]:
-    """The lines that the recording, a file or a folder, brings along: those of a VBO."""
+    """The lines in the recording, a file or a folder: those of a VBO."""
     from smoother.session.files import list_files
 
     try:
@@ -124,7 +124,8 @@ def _own(recording: Path) -> tuple[OwnLine, ...]:
 
 
 def tracks_from(text: str) -> tuple[TrackFile, ...]:
-    """Return what --line means: "lat,lon;lat,lon", a track file (`#name` picks one of several), or a known track."""
+    """Return the tracks that --line selects: "lat,lon;lat,lon", a track file (`#name` picks one of several), or a known
+    track."""
     from smoother.laps.tracks import ENDINGS, library, line_from_text, load_tracks, named_tracks, nearest_known
 
     path, _, chosen = text.partition("#")
@@ -152,9 +153,9 @@ def fix_path(session: Session) -> FixPath:
     return FixPath(session.gnss.t[known], position[known])
 
 
-def analyse_session(session: Session, smoothed: Trajectory, say: Stated) -> LapAnalysis:
+def analyse_session(session: Session, smoothed: Trajectory, stated: Stated) -> LapAnalysis:
     """Return the laps of a smoothed session."""
-    return analyse_rows(smoothed, fix_path(session), options_on(smoothed, session.origin, say))
+    return analyse_rows(smoothed, fix_path(session), options_on(smoothed, session.origin, stated))
 
 
 def analyse_rows(smoothed: Trajectory, fixes: FixPath, options: LapOptions) -> LapAnalysis:
@@ -165,7 +166,7 @@ def analyse_rows(smoothed: Trajectory, fixes: FixPath, options: LapOptions) -> L
 
 
 def analysed_rows(smoothed: Trajectory) -> Trajectory:
-    """Return the rows that the analysis is made of: no more than it needs."""
+    """Return the rows for the analysis, thinned to USUAL_RATE."""
     import numpy as np
 
     from smoother.arrays import median
@@ -174,29 +175,29 @@ def analysed_rows(smoothed: Trajectory) -> Trajectory:
     return smoothed.every(max(1, int(rate / USUAL_RATE + 0.01)))
 
 
-def options_on(smoothed: Trajectory, origin: Origin, say: Stated, drift: Drift | None = None) -> LapOptions:
-    """Return the options that follow from what was stated; of several layouts the one that was driven."""
+def options_on(smoothed: Trajectory, origin: Origin, stated: Stated, drift: Drift | None = None) -> LapOptions:
+    """Return the options that follow from the stated tracks; of several layouts the matching one."""
     from smoother.laps.analysis import LapOptions
     from smoother.laps.circuit import find_circuit
     from smoother.laps.path import plan_path
     from smoother.samples import Problem
 
-    if not say.tracks and not say.own:
-        return LapOptions(official=say.official, drift=drift, problems=say.problems)
-    if not say.tracks:
+    if not stated.tracks and not stated.own:
+        return LapOptions(official=stated.official, drift=drift, problems=stated.problems)
+    if not stated.tracks:
         from smoother.laps.own_lines import trusted_lines
 
-        lines = trusted_lines(say.own, origin, plan_path(analysed_rows(smoothed)))
-        said = (*say.problems, lines) if isinstance(lines, Problem) else say.problems
+        lines = trusted_lines(stated.own, origin, plan_path(analysed_rows(smoothed)))
+        problems = (*stated.problems, lines) if isinstance(lines, Problem) else stated.problems
         given = None if isinstance(lines, Problem) else lines
-        return LapOptions(lines=given, official=say.official, drift=drift, problems=said)
+        return LapOptions(lines=given, official=stated.official, drift=drift, problems=problems)
     from smoother.laps.tracks import layout_on
 
     curve = None
-    if len(say.tracks) > 1:
+    if len(stated.tracks) > 1:
         circuit = find_circuit(plan_path(analysed_rows(smoothed)), None, None, LapOptions().shortest)
         curve = None if isinstance(circuit, Problem) else circuit.curve
-    return LapOptions(lines=layout_on(say.tracks, origin, curve), official=say.official, drift=drift)
+    return LapOptions(lines=layout_on(stated.tracks, origin, curve), official=stated.official, drift=drift)
 
 
 def drift_of_session(smoothed: Trajectory) -> Drift | None:
@@ -216,7 +217,7 @@ def lap_columns(analysis: LapAnalysis | None, smoothed: Trajectory, t: Array) ->
 
 
 def lap_documents(analysis: LapAnalysis, smoothed: Trajectory, session: Session) -> Document:
-    """Return what summary.json says about laps: `laps`, the rows of laps.csv, and `lap_analysis`, the rest."""
+    """Return the laps of summary.json: `laps`, the rows of laps.csv, and `lap_analysis`, the rest."""
     from smoother.laps.document import analysis_document, lap_rows
 
     drift = drift_of_session(smoothed)

@@ -1,4 +1,4 @@
-"""Figures of all laps together: best, theoretical and rolling best, consistency; official times beside ours."""
+"""Statistics of all laps: best, theoretical and rolling best, consistency; comparison with official times."""
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from smoother.laps.theoretical import theoretical_best
 from smoother.trajectory import JointPosition
 
 TENTH = 0.1  # s
-ALIKE = 0.1  # s of difference that two times of one lap may well have
-SAME_LAP = 1.5  # s of difference at most between an official time and ours
+ALIKE = 0.1  # s, plausible difference of two times of one lap
+SAME_LAP = 1.5  # s, largest difference between an official time and that of a lap
 
 
 def statistics_of(
@@ -24,7 +24,7 @@ def statistics_of(
     errors: JointPosition | None,
     source: SigmaSource,
 ) -> Statistics:
-    """Return the figures of the laps that count; gates: start, the ends of the sectors in driving order, finish."""
+    """Return the statistics of the laps that count; gates: start, the ends of the sectors in driving order, finish."""
     counting = [i for i, lap in enumerate(laps) if lap.is_valid]
     times = np.array([laps[i].time for i in counting])
     sigmas = np.array([laps[i].sigma for i in counting])
@@ -62,9 +62,9 @@ def _spread(times: Array, sigmas: Array) -> float:
 
 
 def official_times(times: tuple[float, ...], laps: tuple[Lap, ...]) -> tuple[OfficialTime, ...]:
-    """Return official times, in driving order, each beside the lap it belongs to.
+    """Return official times, in driving order, each with its lap.
 
-    The lists may begin and end at different laps: the shift in which most times agree counts.
+    The lists may start and end at different laps: the shift with most agreeing times is used.
     """
     timed = [i for i, lap in enumerate(laps) if lap.is_timed]
     ours, theirs = np.array([laps[i].time for i in timed]), np.array(times)
@@ -81,7 +81,7 @@ def official_times(times: tuple[float, ...], laps: tuple[Lap, ...]) -> tuple[Off
 
 
 def _agreement(ours: Array, theirs: Array, shift: int) -> float:
-    """How many official times agree with ours `shift` laps later; one that is off by ALIKE counts half."""
+    """Number of official times that agree with those of laps `shift` later; one that differs by ALIKE counts half."""
     k = np.arange(len(theirs)) + shift
     inside = (k >= 0) & (k < len(ours))
     away = theirs[inside] - ours[k[inside]]

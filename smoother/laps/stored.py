@@ -1,4 +1,4 @@
-"""Results read back from their files, so that laps can be looked at again without smoothing again."""
+"""Results read from their files, for lap analysis without smoothing again."""
 
 import json
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
 from smoother.units import DEG
 from smoother.utc_clock import UtcClock
 
-LAST_COLUMN = "lap_distance_m"  # of the trajectory's own; channels of the logger stand behind it
+LAST_COLUMN = "lap_distance_m"  # the last column of the trajectory; channels of the logger follow
 AXES = ("north", "west", "up")
 
 
@@ -67,7 +67,7 @@ def _channel(name: str, rows: dict[str, Array]) -> Channel:
 
 
 def stored_drift(document: dict[str, Any]) -> Drift | None:
-    """Return how the position error changes with time, as summary.json says; None where it does not."""
+    """Return how the position error changes with time, from summary.json; None without it."""
     drift = (document.get("lap_analysis") or {}).get("position_drift")
     if not drift:
         return None
@@ -115,10 +115,10 @@ def _trajectory(rows: dict[str, Array], document: dict[str, Any], own: Origin, o
 
 def _identified(document: dict[str, Any]) -> dict[str, Identified]:
     known = {}
-    for name, said in (document.get("identified") or {}).items():
-        if said.get("value") is not None:
+    for name, entry in (document.get("identified") or {}).items():
+        if entry.get("value") is not None:
             known[name] = Identified(
-                said["value"], said.get("sigma"), str(said["unit"]), bool(said["observable"]), str(said["source"])
+                entry["value"], entry.get("sigma"), str(entry["unit"]), bool(entry["observable"]), str(entry["source"])
             )
     return known
 

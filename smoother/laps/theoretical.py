@@ -1,14 +1,13 @@
-"""The theoretical best: the sum over sectors of the least true time, from times that are each a little wrong.
+"""The theoretical best: the sum over sectors of the least true time, from noisy times.
 
-The least of several noisy times lies below the least of the true ones, so best sectors cannot just be summed; nor can
-each be mended alone, since what an error of one crossing gives to a sector it takes from the next. All crossings of all
-laps are therefore looked at together. What of their errors is common to every passage of a line moves that line and no
-lap: it leaves every difference alone and cancels around the lap.
+The least of several noisy times is below the least of the true ones, so the sum of the best sectors is biased. Sectors
+cannot be corrected one by one, because the error of a crossing enters two of them with opposite signs; so all
+crossings of all laps are treated jointly. The error common to all passages of a line only moves that line: it cancels
+in every difference and around the lap.
 
-True times of a sector are taken to be spread normally about their mean, by a spread that is itself only known as well
-as the times tell. From what then is likely of the true times, given the seen ones and the covariance of their errors,
-samples are drawn; each has its own least times and their sum. Source: Gelman et al., Bayesian Data Analysis, 5.4, with
-known and correlated errors; samples by Matheron's rule.
+True times of a sector are assumed normal about their mean with an unknown spread. Given the measured times and the
+covariance of their errors, true times are sampled; each sample has its own least times and their sum. Source: Gelman et
+al., Bayesian Data Analysis, 5.4, with known and correlated errors; samples by Matheron's rule.
 """
 
 import numpy as np
@@ -20,14 +19,20 @@ from smoother.laps.sigma import Crossed, time_covariance
 from smoother.laps.timing import forward_normal
 from smoother.trajectory import JointPosition
 
-MOST_LAPS = 12  # that may hold a best sector are looked at together; the slower ones of many only tell the spread
-USUAL_SPREAD = 0.01  # of a sector's time: a driver's times are spread so; half of a Cauchy density, so hardly a wish
-LEAST_SPREAD, MOST_SPREAD = 0.03, 30.0  # times that: the ends of what is considered
-SPREADS, SAMPLES = 24, 32  # values of the spreads, and samples for each: the mean is then sure to a thirtieth of sigma
-SLOW, SLOW_SIGMAS = 2.0, 3.0  # times what the best lies below the median, and sigmas of noise, above it: a lap slowed
+MOST_CANDIDATES = 12  # laps that may contain a best sector; slower ones only contribute to the spread
+USUAL_SPREAD = 0.01  # of a sector's time: scale of the half-Cauchy prior of the spread
+LEAST_SPREAD, MOST_SPREAD = 0.03, 30.0  # times that: range of the spread
+SPREADS, SAMPLES = (
+    24,
+    32,
+)  # values of the spreads, and samples for each: enough for a thirtieth of sigma
+SLOW, SLOW_SIGMAS = (
+    2.0,
+    3.0,
+)  # times best to median, and sigmas of noise, above the median: a slowed lap
 GRID = 60  # spreads at which their likelihood is taken
 SAME = 1e-6  # s; sums of the same times may differ by rounding
-SEED = 1  # the same laps say the same every time
+SEED = 1  # for reproducible results
 
 
 def theoretical_best(
@@ -35,9 +40,8 @@ def theoretical_best(
 ) -> tuple[float, float, float]:
     """Return the theoretical best of laps that count, its sigma, and the plain sum of the best sectors, s; NaN unknown.
 
-    gates (S + 1,): start, ends of the sectors, finish. Never above the best lap, whose sectors were driven, nor below
-    the plain sum. Where all best sectors are one lap's it is that lap, as sure as that is. One lap has nothing that
-    could be put together.
+    gates (S + 1,): start, ends of the sectors, finish. Never above the best lap nor below the plain sum. Where all best
+    sectors belong to one lap, the result is that lap with its sigma. One lap alone has none.
     """
     whole = [lap for lap in laps if len(lap.sector_time) == len(gates) - 1 and np.isfinite(lap.sector_time).all()]
     if len(whole) < 2:
@@ -57,16 +61,17 @@ def theoretical_best(
 
 
 def candidates(sector_time: Array) -> IntArray:
-    """Return which laps of `sector_time` (L, S) s, all known, may hold a best sector: all, of many the quickest."""
+    """Return the laps of `sector_time` (L, S) s, all known, that may contain a best sector: all, of many the
+    quickest."""
     rank = np.argsort(np.argsort(sector_time, axis=0, kind="stable"), axis=0).min(axis=1)
-    quickest = np.lexsort((sector_time.sum(axis=1), rank))[:MOST_LAPS]
+    quickest = np.lexsort((sector_time.sum(axis=1), rank))[:MOST_CANDIDATES]
     return np.sort(quickest)
 
 
 def least_sum(
     sector_time: Array, chosen: IntArray, covariance: Array, closing: Array, *, is_closed: bool
 ) -> tuple[float, float]:
-    """Return the sum over sectors of the least true time, s, and its sigma, s, neither held to what was driven.
+    """Return the sum over sectors of the least true time, s, and its sigma, s, without limits.
 
     sector_time (L, S) s of all laps; covariance (m, m) s^2 of the crossing times of the `chosen` (C,) of them and the
     speeds closing (m,) m/s at which the lines were passed, lap by lap, each from start to finish: m = C * (S + 1).
@@ -78,13 +83,13 @@ def least_sum(
 
 
 def _parts(covariance: Array, closing: Array, laps: int, sectors: int, is_closed: bool) -> tuple[Array, float]:
-    """Covariance (laps * sectors, same) s^2 of sector times between lines moved by what all their passages are off by,
+    """Covariance (laps * sectors, same) s^2 of sector times between lines moved by the common error of their passages,
     and the variance s^2 that this common part leaves in the time from start to finish."""
     line = np.tile(np.arange(sectors + 1), laps)
     if is_closed:
         line[line == sectors] = 0
     of_line = line[:, None] == line[None, :]
-    common = (of_line / of_line.sum(axis=1)) * (closing[None, :] / closing[:, None])  # of metres, then of time again
+    common = (of_line / of_line.sum(axis=1)) * (closing[None, :] / closing[:, None])  # in metres, then in time
     sector = np.kron(np.eye(laps), np.diff(np.eye(sectors + 1), axis=0))
     weights = sector @ (np.eye(len(line)) - common)
     whole = np.zeros(len(line)) if is_closed else sector.sum(axis=0) @ common / laps
@@ -105,7 +110,7 @@ def _true_times(sector_time: Array, chosen: IntArray, noise: Array) -> Array:
     mean, count = np.nanmean(usual, axis=0), np.count_nonzero(~is_slow, axis=0)
     seen, held_up = sector_time[chosen], is_slow[chosen]
     expected = mean + rng.standard_normal((SPREADS, SAMPLES, sectors)) * (spread / np.sqrt(count))[:, None, :]
-    # a lap that was slowed says nothing of the usual times, nor may these draw it, and its other sectors, near
+    # a slowed lap is no sample of the usual times, and these must not shrink it and its other sectors
     prior = np.where(held_up, (seen - mean) ** 2, spread[:, None, :] ** 2)
     drawn = rng.standard_normal((2, SPREADS, SAMPLES, laps, sectors))
     wanted = expected[:, :, None, :] + np.sqrt(prior)[:, None] * drawn[0]
@@ -119,14 +124,14 @@ def _true_times(sector_time: Array, chosen: IntArray, noise: Array) -> Array:
 
 
 def slowed(sector_time: Array, noise: Array) -> BoolArray:
-    """Mask (L, S) of times (L, S) that a slip or traffic made, far above the others; noise (S,) s of timing them."""
+    """Mask (L, S) of times (L, S) far above the others, slowed by a mistake or traffic; noise (S,) s of timing."""
     median = np.median(sector_time, axis=0)
     usual = SLOW * (median - sector_time.min(axis=0)) + SLOW_SIGMAS * noise
     return np.asarray(sector_time > median + usual)
 
 
 def spreads(seen: Array, noise: float) -> Array:
-    """Values (SPREADS,) s, each as likely as the others, of the spread of true times behind the `seen` (K,) s, whose
+    """Values (SPREADS,) s, quantiles of the posterior of the spread of true times given the `seen` (K,) s, whose
     errors have the variance `noise` s^2."""
     scale = USUAL_SPREAD * float(seen.mean())
     spread = scale * np.geomspace(LEAST_SPREAD, MOST_SPREAD, GRID)

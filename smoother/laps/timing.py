@@ -1,4 +1,4 @@
-"""Crossing times: when the path passes a line, solved on the smooth path, and by straight lines on the raw fixes."""
+"""Crossing times of a line, solved on the smooth path, and by straight lines between the raw fixes."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,18 @@ from smoother.laps.follow import Followed
 from smoother.laps.results import FixPath, Line
 
 ROUNDS = 6  # of Newton's method; from a bracket of one row two suffice
-LONGEST_STEP = 2.5  # s between raw fixes over which a straight line is still drawn
-BESIDE = 6.0  # m beyond the ends of a gate at which a passage still counts, where no sigma is known: three of a GPS
-USUAL_WAY = 11.0  # m from the reference line: as wide as tracks are driven, and what the GPS wanders between laps
-SAME_PLACE = 30.0  # m of track distance from the line's own: a line may stand askew, and laps may pass it wide
-APART = 0.4  # of a lap that lies at least between two passages
-RAW_BESIDE = 20.0  # m; raw fixes are looked for near a passage that is known, so their place need not be
+LONGEST_STEP = 2.5  # s between raw fixes that are connected
+BESIDE = 6.0  # m beyond the ends of a gate at which a passage counts without a known sigma: three of a GPS
+USUAL_WAY = 11.0  # m from the reference line: width of a track and wander of the GPS
+SAME_PLACE = 30.0  # m of track distance from that of the line: a line may be oblique, and laps may pass it wide
+APART = 0.4  # of a lap, least distance between two passages
+RAW_BESIDE = 20.0  # m, tolerance of raw fixes near a known passage
 
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Passages of one line in time order. t (K,) s; lap (K,) int: how often the track's zero had been passed; is_solved
-    (K,): on the line itself, else interpolated through a hole in the fixes."""
+    """Passages of one line in time order. t (K,) s; lap (K,) int: number of passages of the track's zero before;
+    is_solved (K,): on the line itself, else interpolated in a gap of the fixes."""
 
     t: Array
     lap: IntArray
@@ -32,7 +32,7 @@ class Crossings:
 
 
 def forward_normal(line: Line) -> Array:
-    """Unit vector (2,) that points over the line in the direction of travel."""
+    """Unit vector (2,) normal to the line in the direction of travel."""
     span = line.left_n - line.right_n
     return np.asarray(np.array([span[1], -span[0]]) / np.linalg.norm(span))
 
@@ -43,7 +43,7 @@ def past(line: Line, position_n: Array) -> Array:
 
 
 def across(line: Line, position_n: Array) -> Array:
-    """Place along the line (K,) of positions (K, 2): 0 in the middle, 1 at the left end, -1 at the right."""
+    """Coordinate along the line (K,) of positions (K, 2): 0 in the middle, 1 at the left end, -1 at the right."""
     span = line.left_n - line.right_n
     away = position_n - 0.5 * (line.left_n + line.right_n)
     return np.asarray(2.0 * (away @ span) / (span @ span))
@@ -59,10 +59,10 @@ def crossings(
 ) -> Crossings:
     """Return every passage of `line`, which stands at line.distance on a track of `length` m.
 
-    A passage lies on the line, in the direction of travel, at the right place of the track: within the gate (and
-    `beside` m beyond its ends) or where laps usually pass. Away from the track only the gate itself counts. However
-    often a kart rolls over the line, it passes once. In a hole of the fixes, rows `blind` (N,), the time is that of the
-    track distance.
+    A passage crosses the line in the direction of travel, at the right track distance: within the gate (and `beside` m
+    beyond its ends) or where laps usually pass. Away from the track only the gate itself counts. Repeated crossings of
+    a kart on the line are one passage. In a gap of the fixes, rows `blind` (N,), the time is that of the track
+    distance.
     """
     t, distance = _on_the_line(path, followed, length, line, beside)
     lap = np.round((distance - line.distance) / length).astype(np.int64)
@@ -74,7 +74,7 @@ def crossings(
 
 
 def _on_the_line(path: PlanPath, followed: Followed, length: float, line: Line, beside: float) -> tuple[Array, Array]:
-    """Times (K,) s and unwrapped track distances (K,) m of all passages that lie where they should."""
+    """Times (K,) s and unwrapped track distances (K,) m of all passages at the right track distance."""
     t = gate_crossings(path, line, np.inf)
     place = np.abs(across(line, path.at(t)[0])) if len(t) else np.empty(0)
     half = 0.5 * float(np.linalg.norm(line.left_n - line.right_n))
@@ -88,7 +88,7 @@ def _on_the_line(path: PlanPath, followed: Followed, length: float, line: Line, 
 
 
 def _once(path: PlanPath, found: Crossings, length: float) -> Crossings:
-    """Leave out passages that follow another within a part of a lap."""
+    """Remove passages that follow another within a part of a lap."""
     driven = np.interp(found.t, path.t, path.driven)
     kept: list[int] = []
     for i in range(len(found)):
@@ -100,7 +100,7 @@ def _once(path: PlanPath, found: Crossings, length: float) -> Crossings:
 def _with_unseen(
     path: PlanPath, followed: Followed, length: float, line: Line, blind: BoolArray, found: Crossings
 ) -> Crossings:
-    """Add passages in holes of the fixes that left the path beside the track, where track distance shows one."""
+    """Add passages in gaps of the fixes where the path is off the track but track distance shows one."""
     reached = np.maximum.accumulate(np.where(np.isfinite(followed.distance), followed.distance, -np.inf))
     lap = np.floor((reached - line.distance) / length)
     row = np.flatnonzero((np.diff(lap) == 1.0) & blind[:-1] & ~followed.is_on[:-1])

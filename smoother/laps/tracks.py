@@ -1,8 +1,8 @@
-"""Track files: timing lines as GeoJSON or as pairs of points, the small library that comes along, and lines typed in.
+"""Track files: timing lines as GeoJSON or as pairs of points, the library of known tracks, and lines as text.
 
-GeoJSON: a feature with a LineString of two points for each line. Its property `line` says which one it is: "start"
-(also "start/finish"), "sector" (in driving order, or numbered: "sector 2") or "finish" where that is elsewhere; without
-it the property `name` is asked. A property `track` tells several tracks of one file apart.
+GeoJSON: a feature with a LineString of two points for each line. Its property `line` is "start"
+(also "start/finish"), "sector" (in driving order, or numbered: "sector 2") or "finish" where that is separate; without
+it the property `name` is used. A property `track` distinguishes several tracks of one file.
 
 Pairs of points: `start_a_lat`, `start_a_lng`, `start_b_lat`, `start_b_lng`, then likewise `sector_2_..` for the line at
 which sector 2 begins and so on, `finish_..`, and `lengthFt`; at the top, or one such object per track.
@@ -28,8 +28,8 @@ from smoother.laps.results import GivenLines
 from smoother.units import FOOT
 
 ENDINGS = (".json", ".geojson")
-ALIKE = 0.75  # of difflib, 1 for the same: a letter or two of a name are wrong
-LONGEST_LINE = 500.0  # m; beyond, latitude and longitude were swapped or a point is wrong
+ALIKE = 0.75  # of difflib, 1 for equal: one or two wrong letters
+LONGEST_LINE = 500.0  # m; a longer line has swapped coordinates or a wrong point
 _NUMBER = re.compile(r"\d{1,9}")
 
 
@@ -68,9 +68,9 @@ def library() -> dict[str, TrackFile]:
 
 
 def named_tracks(name: str, folder: Path) -> tuple[TrackFile, ...]:
-    """Return the tracks that `track` of session.toml means: of a file beside it, or of the library; none if unknown.
+    """Return the tracks that `track` of session.toml names: of a file beside it, or of the library; none if unknown.
 
-    `file.json#name` picks one of several. Raises ConfigError when a file that is meant cannot be used.
+    `file.json#name` picks one of several. Raises ConfigError when a named file cannot be used.
     """
     path, _, chosen = name.partition("#")
     if path.strip().lower().endswith(ENDINGS):
@@ -81,17 +81,17 @@ def named_tracks(name: str, folder: Path) -> tuple[TrackFile, ...]:
 
 
 def nearest_known(name: str) -> str | None:
-    """Return the track of the library that a name with a wrong letter or two perhaps means, None if none is like it."""
+    """Return the known track with a similar name, None if there is none."""
     near = difflib.get_close_matches(name.strip().lower(), [key.lower() for key in library()], n=1, cutoff=ALIKE)
     return near[0] if near else None
 
 
 def _inside(folder: Path, name: str) -> Path:
-    """The file of that name in `folder` or below: what a session states may not reach files outside of it."""
+    """The file of that name in `folder` or below: files outside are not opened."""
     path = folder / name
     try:
         inside = path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
+    except (OSError, RuntimeError, ValueError):  # a loop of links, an invalid name
         inside = False
     if not inside:
         raise ConfigError(
@@ -114,7 +114,7 @@ def load_tracks(path: Path, chosen: str = "") -> tuple[TrackFile, ...]:
 
 
 def line_from_text(text: str) -> TrackFile:
-    """Return the line typed as "lat,lon;lat,lon". Raises ConfigError."""
+    """Return the line of a text "lat,lon;lat,lon". Raises ConfigError."""
     points = [part for part in text.split(";") if part.strip()]
     try:
         values = [[float(number) for number in point.split(",")] for point in points]
@@ -126,7 +126,7 @@ def line_from_text(text: str) -> TrackFile:
 
 
 def layout_on(tracks: tuple[TrackFile, ...], origin: Origin, curve: Curve | None) -> GivenLines | None:
-    """Return the lines of the track, of several, that was driven: passed, and of the length that it states."""
+    """Return the lines of the matching track: passed, and of its stated length."""
     if not tracks or curve is None or len(tracks) == 1:
         return tracks[0].lines(origin) if tracks else None
 
@@ -216,7 +216,7 @@ def _assembled(name: str, lines: list[tuple[str, Array]]) -> TrackFile | None:
     finishes = [ends for role, ends in lines if "finish" in role and "start" not in role]
     sectors = [(role, ends) for role, ends in lines if "start" not in role and "finish" not in role]
     if not starts and len(finishes) == 1:
-        starts, finishes = finishes, []  # a line called "finish" alone is where laps begin and end
+        starts, finishes = finishes, []  # a line "finish" alone is the start/finish line
     if not starts:
         return None
     if all(_NUMBER.search(role) for role, _ in sectors):

@@ -15,7 +15,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.clock import local_day, local_zone
 from smoother.laps.results import Corner, LapAnalysis, Statistics
-from smoother.laps.sigma import are_real, sure_from
+from smoother.laps.sigma import are_real, significance_threshold
 from smoother.laps.stored import Stored
 from smoother.report.files import replacing
 from smoother.report.page_charts import grip, linked, picker, settings, styled
@@ -222,7 +222,7 @@ class Loss:
 def losses(compared: Sequence[Compared]) -> list[Loss]:
     """Return the time that the best lap of each session lost to the reference lap."""
     lost, sigma = np.array([_whole_lap(one) for one in compared]).T
-    threshold = sure_from(lost, sigma)
+    threshold = significance_threshold(lost, sigma)
     real = are_real(lost, sigma, threshold)
     return [Loss(float(a), float(b), bool(c), threshold) for a, b, c in zip(lost, sigma, real, strict=True)]
 

@@ -15,7 +15,7 @@ from matplotlib.colors import to_hex
 from smoother.arrays import Array, IntArray
 from smoother.laps.path import level_acceleration
 from smoother.laps.results import Lap, LapAnalysis, Line, ReferenceLine, Traces
-from smoother.laps.top_speed import speed_sigma, sure_rows
+from smoother.laps.top_speed import reliable_rows, speed_sigma
 from smoother.report.channels import channel_at
 from smoother.report.summary import fastest_row
 from smoother.samples import Channel, Session
@@ -205,10 +205,10 @@ def _reliability(smoothed: Trajectory, t: Array) -> dict[str, Array]:
 
     Scales leave such spikes out, as the top speed does.
     """
-    speed, sure = smoothed.speed, sure_rows(smoothed.speed, speed_sigma(smoothed))
-    if not sure.any() or not (speed[~sure] > speed[sure].max()).any():
+    speed, reliable = smoothed.speed, reliable_rows(smoothed.speed, speed_sigma(smoothed))
+    if not reliable.any() or not (speed[~reliable] > speed[reliable].max()).any():
         return {}
-    return {"is_sure": np.where(np.interp(t, smoothed.t, sure.astype(np.float64)) == 1.0, 1.0, 0.0)}
+    return {"is_sure": np.where(np.interp(t, smoothed.t, reliable.astype(np.float64)) == 1.0, 1.0, 0.0)}
 
 
 def _spacing(distance: Array) -> float:
@@ -315,8 +315,8 @@ def _whole_session(numbers: Numbers) -> Document:
 
 def cloud(smoothed: Trajectory) -> Document:
     """Return accelerations in g where the speed is reliable, and the radius that contains nearly all."""
-    sure = sure_rows(smoothed.speed, speed_sigma(smoothed))
-    moving = np.flatnonzero((smoothed.speed > 2.0) & sure)
+    reliable = reliable_rows(smoothed.speed, speed_sigma(smoothed))
+    moving = np.flatnonzero((smoothed.speed > 2.0) & reliable)
     rows = moving[:: max(1, -(-len(moving) // CLOUD))]
     g = level_acceleration(smoothed)[rows] / STANDARD_GRAVITY
     size = np.hypot(g[:, 0], g[:, 1])

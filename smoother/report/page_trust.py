@@ -7,7 +7,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.laps.results import LapAnalysis
-from smoother.laps.sigma import least_real
+from smoother.laps.sigma import least_significant
 from smoother.problems import remedy
 from smoother.report.page_html import DASH, Child, element, number, row, table
 from smoother.report.page_sections import PageContent, speed_span, speed_unit
@@ -80,7 +80,7 @@ def _indistinguishable_difference(laps: LapAnalysis | None) -> float:
         return 0.0
     best = laps.laps[laps.statistics.best_lap]
     others = [lap.sigma for lap in laps.laps if lap.is_valid and lap is not best and np.isfinite(lap.sigma)]
-    return max(0.01, float(least_real(np.hypot(best.sigma, np.median(others))))) if others else 0.0
+    return max(0.01, float(least_significant(np.hypot(best.sigma, np.median(others))))) if others else 0.0
 
 
 _MEASURES: Mapping[str, tuple[str, str, int]] = {

@@ -10,7 +10,7 @@ from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import utc_clock
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.laps.results import LapAnalysis
-from smoother.laps.top_speed import speed_sigma, sure_rows, top_speed
+from smoother.laps.top_speed import reliable_rows, speed_sigma, top_speed
 from smoother.samples import Problem, Session
 from smoother.trajectory import EstimateReport, Identified, Trajectory
 from smoother.units import DEG
@@ -114,7 +114,7 @@ def distance_driven(estimate: Trajectory) -> float:
 def fastest_row(estimate: Trajectory) -> int:
     """Return the row of the highest speed among the reliable ones (:func:`smoother.laps.top_speed.reliable_rows`)."""
     speed = estimate.speed
-    return int(np.argmax(np.where(sure_rows(speed, speed_sigma(estimate)), speed, -np.inf)))
+    return int(np.argmax(np.where(reliable_rows(speed, speed_sigma(estimate)), speed, -np.inf)))
 
 
 def _about(session: Session, estimate: Trajectory, laps: LapAnalysis | None) -> Document:

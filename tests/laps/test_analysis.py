@@ -19,7 +19,7 @@ from smoother.laps.clock import lap_clock
 from smoother.laps.delta import zones
 from smoother.laps.document import analysis_document, lap_rows, lap_table
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
-from smoother.laps.sigma import are_real, sure_from
+from smoother.laps.sigma import are_real, significance_threshold
 from smoother.laps.stage import analyse_rows, analysed_rows, lap_columns
 from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
@@ -217,19 +217,23 @@ def test_of_luck_alone_hardly_anything_is_real_however_much_is_compared() -> Non
         offset = lap - reference  # of the GPS, and one for a whole lap: each corner shows it in its own way
         lost = offset * np.tile([0.9, -0.9, 0.5], 4) + 0.5 * rng.standard_normal((40, 12))
         sigma = np.broadcast_to(np.hypot(np.sqrt(2.0) * np.tile([0.9, 0.9, 0.5], 4), 0.5), lost.shape)
-        called.append(bool(are_real(lost, sigma, sure_from(lost, sigma)).any()))
+        called.append(bool(are_real(lost, sigma, significance_threshold(lost, sigma)).any()))
         by_two_sigma.append(float(np.mean(are_real(lost, sigma, 2.0))))
     assert np.mean(called) < 0.05
     assert 0.03 < np.mean(by_two_sigma) < 0.06
 
 
 def test_one_difference_alone_is_real_from_two_sigma_and_more_need_more() -> None:
-    assert sure_from(np.array([3.0]), np.array([1.0])) == 2.0
-    assert sure_from(np.array([np.nan, 5.0]), np.array([1.0, 0.0])) == 2.0
+    assert significance_threshold(np.array([3.0]), np.array([1.0])) == 2.0
+    assert significance_threshold(np.array([np.nan, 5.0]), np.array([1.0, 0.0])) == 2.0
     least = NormalDist().inv_cdf(1.0 - 0.5 * 0.05 / (4 * (1.0 + 1.0 / 2.0 + 1.0 / 3.0 + 1.0 / 4.0)))
-    assert sure_from(np.full((2, 2), 0.5), np.ones((2, 2))) == pytest.approx(least)
+    assert significance_threshold(np.full((2, 2), 0.5), np.ones((2, 2))) == pytest.approx(least)
     large = np.where(np.arange(100) < 60, 20.0, 0.5)  # many that are surely real lower what each needs
-    assert 2.0 < sure_from(large, np.ones(100)) < sure_from(np.where(large > 1.0, 0.5, large), np.ones(100))
+    assert (
+        2.0
+        < significance_threshold(large, np.ones(100))
+        < significance_threshold(np.where(large > 1.0, 0.5, large), np.ones(100))
+    )
 
 
 def test_zones_have_hysteresis() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.laps.analysis import LapOptions, analyse
-from smoother.laps.corner_speeds import SteadySpeed, corner_speeds, speed_at, steady_speed
+from smoother.laps.corner_speeds import SmoothSpeed, corner_speeds, smooth_speed, speed_at
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis, Traces
 from smoother.trajectory import Trajectory
 
@@ -17,10 +17,10 @@ Fixes = Callable[..., FixPath]
 WANDER, TAU = 2.0, 60.0  # m, s: of receivers in general, as the analysis takes it where a session says nothing
 
 
-def braking_lap(place_sigma: float) -> tuple[SteadySpeed, Traces]:
+def braking_lap(place_sigma: float) -> tuple[SmoothSpeed, Traces]:
     """One lap that brakes from 30 m/s by 5 m/s^2 from 0 to 80 m, its places as sure as `place_sigma` m."""
     t = 0.02 * np.arange(150)
-    speed = SteadySpeed(t, 30.0 - 5.0 * t, np.full(150, 0.05))
+    speed = SmoothSpeed(t, 30.0 - 5.0 * t, np.full(150, 0.05))
     distance = np.arange(0.0, 81.0, 2.0)
     passed = np.interp(distance, 30.0 * t - 2.5 * t**2, t)[None, :]
     unknown = np.full(passed.shape, np.nan)
@@ -54,7 +54,7 @@ def test_the_slowest_speed_is_not_the_unluckiest_row(make: Made) -> None:
         north = np.concatenate([[0.0], np.cumsum(0.01 * (clean[1:] + clean[:-1]))])
         drive = make(t, np.stack([north, np.zeros(len(t))], axis=1))
         drive = replace(drive, velocity_n=np.stack([noisy, 0.0 * t, 0.0 * t], axis=1))
-        errors.append(steady_speed(drive).speed.min() - 8.0)
+        errors.append(smooth_speed(drive).speed.min() - 8.0)
         assert noisy.min() - 8.0 < -0.25
     assert -0.15 < np.mean(errors) < 0.05
 
@@ -63,7 +63,7 @@ def test_who_stands_is_not_slower_than_nothing(make: Made) -> None:
     t = 0.02 * np.arange(400)
     speed = np.maximum(0.0, 12.0 * np.abs(t - 4.0) - 12.0)
     drive = make(t, np.stack([np.cumsum(0.02 * speed), 0.0 * t], axis=1))
-    assert steady_speed(replace(drive, velocity_n=np.stack([speed, 0.0 * t, 0.0 * t], axis=1))).speed.min() == 0.0
+    assert smooth_speed(replace(drive, velocity_n=np.stack([speed, 0.0 * t, 0.0 * t], axis=1))).speed.min() == 0.0
 
 
 def wandered(driven: Trajectory, seed: int) -> Trajectory:

@@ -9,7 +9,7 @@ import pytest
 from smoother.arrays import Array
 from smoother.laps.analysis import without_laps
 from smoother.laps.results import Lap
-from smoother.laps.top_speed import likely_tops, steadied, top_speed
+from smoother.laps.top_speed import shrunk_tops, smoothed_speed, top_speed
 from smoother.trajectory import Trajectory
 
 Made = Callable[..., Trajectory]
@@ -60,7 +60,7 @@ def test_the_top_of_a_lap_that_may_be_the_same_is_that_of_the_session(make: Made
 
 def test_tops_of_an_even_driver_are_drawn_together_but_never_one_and_the_same() -> None:
     tops = 30.0 + 0.1 * np.random.default_rng(3).standard_normal(12)
-    likely = likely_tops(tops, np.full(12, 0.2))  # they scatter less than their noise: the likeliest spread is none
+    likely = shrunk_tops(tops, np.full(12, 0.2))  # they scatter less than their noise: the likeliest spread is none
     np.testing.assert_array_equal(np.argsort(likely), np.argsort(tops))
     assert 0.05 < np.ptp(likely) / np.ptp(tops) < 0.5
     assert likely.mean() == pytest.approx(tops.mean())
@@ -69,7 +69,7 @@ def test_tops_of_an_even_driver_are_drawn_together_but_never_one_and_the_same() 
 def test_a_lap_that_was_faster_for_a_reason_keeps_its_top_speed(make: Made) -> None:
     tops = np.array([30.0, 30.1, 29.9, 33.0, 30.0, 30.1])
     assert top_speed(straight(make, laps_of(tops), 0.1)).speed == pytest.approx(33.0, abs=0.02)
-    np.testing.assert_allclose(likely_tops(tops, np.full(6, 0.1))[[0, 3, 5]], [30.0, 33.0, 30.1], atol=0.005)
+    np.testing.assert_allclose(shrunk_tops(tops, np.full(6, 0.1))[[0, 3, 5]], [30.0, 33.0, 30.1], atol=0.005)
 
 
 def test_a_peak_that_is_hardly_known_is_not_the_top_speed(make: Made) -> None:
@@ -81,10 +81,10 @@ def test_a_peak_that_is_hardly_known_is_not_the_top_speed(make: Made) -> None:
 def test_noise_is_steadied_and_the_tip_before_the_brakes_is_not_blunted(make: Made) -> None:
     t = 0.02 * np.arange(1000)
     tip = np.where(t < 10.0, 20.0 + t, 30.0 - 9.0 * (t - 10.0))
-    clean = steadied(tip, t)
+    clean = smoothed_speed(tip, t)
     assert clean.max() == pytest.approx(30.0, abs=0.3)
     rough = np.full(1000, 30.0) + 0.2 * np.random.default_rng(1).standard_normal(1000)
-    assert np.std(steadied(rough, t)) < 0.12
+    assert np.std(smoothed_speed(rough, t)) < 0.12
 
 
 def test_without_sigmas_or_with_a_row_or_two_there_is_a_top_speed(make: Made) -> None:
@@ -92,4 +92,4 @@ def test_without_sigmas_or_with_a_row_or_two_there_is_a_top_speed(make: Made) ->
     assert told.speed == pytest.approx(31.0, abs=0.01) and np.isnan(told.sigma)
     assert np.isnan(top_speed(straight(make, np.full(5, 12.0), np.nan)).sigma)
     assert top_speed(straight(make, np.full(5, 12.0), 0.1)).speed == pytest.approx(12.0)
-    np.testing.assert_array_equal(likely_tops(np.array([np.nan, 12.0]), np.array([np.nan, 0.1])), [np.nan, 12.0])
+    np.testing.assert_array_equal(shrunk_tops(np.array([np.nan, 12.0]), np.array([np.nan, 0.1])), [np.nan, 12.0])

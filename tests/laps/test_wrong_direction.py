@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.laps import against
+from smoother.laps import wrong_direction
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
 from smoother.trajectory import Trajectory
@@ -45,11 +45,11 @@ def told(analysis: LapAnalysis) -> list[str]:
 
 
 @pytest.mark.parametrize(("side", "way"), [(1.0, "clockwise"), (-1.0, "anticlockwise")])
-@pytest.mark.parametrize("together", [7, against.TOGETHER])
+@pytest.mark.parametrize("together", [7, wrong_direction.TOGETHER])
 def test_laps_the_other_way_round_are_said_and_not_timed(
     make: Made, fixes: Fixes, monkeypatch: pytest.MonkeyPatch, side: float, way: str, together: int
 ) -> None:
-    monkeypatch.setattr(against, "TOGETHER", together)
+    monkeypatch.setattr(wrong_direction, "TOGETHER", together)
     t, laps = there_and_back(4.3, 3.2)
     driven = make(t, RADIUS * along(CIRCLE, laps) * [1.0, side])
     analysis = analyse(driven, fixes(driven))

@@ -1,7 +1,6 @@
-"""Laps driven the other way round the track: they are no laps of it, and what was driven against its line is said.
+"""Laps against the direction of the reference line: they are not timed, and a problem reports them.
 
-Another direction has other corners, so that none of its laps can be compared with those of the line; smoothed for
-itself it is a session like any other.
+The other direction has other corners, so its laps cannot be compared. Smoothed separately it is a normal session.
 """
 
 from collections.abc import Iterator
@@ -15,16 +14,16 @@ from smoother.laps.follow import FOUND_WITHIN, MOVING, SAME_DIRECTION, Followed
 from smoother.laps.reference import Curve
 from smoother.samples import Problem
 
-SPACING = 4.0  # m driven from one of the places that are looked at to the next
-TOGETHER = 2048  # of them at once: with a long track some 100 MB
-LONGEST_BREAK = 30.0  # s of standing, or off the line, within what was driven against it
-LEAST_DRIVEN, LEAST_COVERED = 0.95, 0.8  # of a lap: less is the way back to the pits, or a road beside the track
-MOST_TOLD = 3  # stretches
-ROUND = 0.05  # of the area of a circle as long; a line round less, as an eight, goes neither way
+SPACING = 4.0  # m of driven distance between the tested points
+TOGETHER = 2048  # points at once: with a long track some 100 MB
+LONGEST_BREAK = 30.0  # s at rest or off the line within one stretch
+LEAST_DRIVEN, LEAST_COVERED = 0.95, 0.8  # of a lap; less is the way to the pits, or a road beside the track
+MOST_REPORTED = 3  # stretches
+ROUND = 0.05  # of the area of a circle of that length; a line around less, as a figure eight, has no direction
 
 
 def driven_against(path: PlanPath, curve: Curve, followed: Followed) -> Iterator[Problem]:
-    """Say where the line was driven the other way round for a lap or more; of an open line nothing, back one has to."""
+    """Return a problem where the line was driven backwards for a lap or more; None for an open line."""
     if not curve.line.is_closed:
         return
     places = _places_off(path, followed)
@@ -37,8 +36,8 @@ def driven_against(path: PlanPath, curve: Curve, followed: Followed) -> Iterator
         if (laps := len(rows) * SPACING / curve.length) > LEAST_DRIVEN and _covered(curve, points) > LEAST_COVERED
     ]
     if found:
-        times = ", ".join(f"from {begin:.0f} to {end:.0f} s" for begin, end, _ in found[:MOST_TOLD])
-        times += ", .." if len(found) > MOST_TOLD else ""
+        times = ", ".join(f"from {begin:.0f} to {end:.0f} s" for begin, end, _ in found[:MOST_REPORTED])
+        times += ", .." if len(found) > MOST_REPORTED else ""
         laps = sum(each for _, _, each in found)
         text = f"{times} the track was driven the other way round{_way(curve)}, {laps:.1f} laps, which are not timed"
         yield Problem("driven_against", f"{text}; to have them, split the files there and smooth each part")
@@ -65,13 +64,13 @@ def _beside(path: PlanPath, curve: Curve, places: IntArray) -> tuple[IntArray, B
 
 
 def _covered(curve: Curve, points: IntArray) -> float:
-    """The share of the line that has one of its `points` (K,) in it, by parts twice as long as their SPACING."""
+    """The share of the line that contains `points` (K,), by parts of twice their SPACING."""
     parts = np.unique((curve.line.distance[points] / (2.0 * SPACING)).astype(np.int64))
     return len(parts) * 2.0 * SPACING / curve.length
 
 
 def _way(curve: Curve) -> str:
-    """In words, the direction against that of the line; nothing where it goes round to both sides."""
+    """The direction against that of the line, clockwise or anticlockwise; empty for a line without one."""
     north, west = curve.line.position_n[:, 0], curve.line.position_n[:, 1]
     area = 0.5 * float(np.sum(north * np.roll(west, -1) - np.roll(north, -1) * west))
     if abs(area) < ROUND * curve.length**2 / (4.0 * np.pi):
