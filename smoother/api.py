@@ -27,10 +27,10 @@ from smoother.errors import UsageError
 
 if TYPE_CHECKING:
     from smoother.arrays import Array
-    from smoother.estimate.evaluate import Errors as Errors
-    from smoother.estimate.evaluate import Evaluation as Evaluation
-    from smoother.estimate.quality import Quality as Quality
-    from smoother.estimate.short_graph import ShortGraph as ShortGraph
+    from smoother.estimate.judge.evaluate import Errors as Errors
+    from smoother.estimate.judge.evaluate import Evaluation as Evaluation
+    from smoother.estimate.judge.quality import Quality as Quality
+    from smoother.estimate.output.short_graph import ShortGraph as ShortGraph
     from smoother.frames import Origin
     from smoother.laps.results import GivenLines, LapAnalysis, ReferenceLine
     from smoother.samples import RawSession, Session
@@ -165,7 +165,7 @@ def short_graph(session: Session, begin: float, lasts: float) -> ShortGraph:
     It has `factors(values)`, the gtsam.NonlinearFactorGraph of each row of the table in docs/estimation.md, the
     `values` to begin with, `step(values)` of the loop that solves sessions, and `covariances(values)` by its sweep.
     """
-    from smoother.estimate.short_graph import short_graph as graph_of
+    from smoother.estimate.output.short_graph import short_graph as graph_of
 
     return graph_of(session, begin, lasts)
 
@@ -183,7 +183,7 @@ def baseline(session: Session, rate: float = 50.0, **options: Any) -> Trajectory
 
 def gps_alone(session: Session, rate: float = 50.0) -> Trajectory:
     """Return the fixes joined by straight lines: a row at each fix and `rate` rows a second; no sigmas, no attitude."""
-    from smoother.estimate.gps_alone import GpsAlone
+    from smoother.estimate.baseline.gps_alone import GpsAlone
 
     return GpsAlone(rate).estimate(session)
 
@@ -193,7 +193,7 @@ def resample(trajectory: Trajectory, t: Array) -> Trajectory:
 
     Position by cubic Hermite, attitude along the shortest rotation, the rest linearly.
     """
-    from smoother.estimate.resample import resample as resampled
+    from smoother.estimate.output.resample import resample as resampled
 
     return resampled(trajectory, t)
 
@@ -237,7 +237,7 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, skip: float = 0.0) -> Ev
 
     skip: s to leave out at the start of what both cover. Quantities that one of them does not know are NaN.
     """
-    from smoother.estimate.evaluate import evaluate as evaluated
+    from smoother.estimate.judge.evaluate import evaluate as evaluated
 
     return evaluated(trajectory, truth, skip)
 
@@ -247,14 +247,14 @@ def errors_between(trajectory: Trajectory, truth: Trajectory) -> Errors:
 
     position_n and velocity_n (N, 3) m and m/s, euler (N, 3) rad; NaN where unknown.
     """
-    from smoother.estimate.evaluate import errors_between as between
+    from smoother.estimate.judge.evaluate import errors_between as between
 
     return between(trajectory, truth)
 
 
 def assess(session: Session, trajectory: Trajectory) -> Quality:
     """Return the verdict of the quality gate: `passed`, and `reasons` where it did not. No truth is needed."""
-    from smoother.estimate.quality import assess as assessed
+    from smoother.estimate.judge.quality import assess as assessed
 
     return assessed(session, trajectory)
 
@@ -295,7 +295,7 @@ def write_tables(
 
     every: of the rows every n-th is written.
     """
-    from smoother.estimate.true_time import utc_clock
+    from smoother.estimate.preprocess.clock import utc_clock
     from smoother.laps.document import lap_table
     from smoother.laps.stage import LAPS, lap_columns
     from smoother.report.files import write_csv, write_fixes, write_trajectory

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from smoother.estimate.quality import QualityLimits
+from smoother.estimate.judge.quality import QualityLimits
 from smoother.units import DEG, KMH
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -23,7 +23,7 @@ from smoother.cli.pipeline import naming, read, require_usable_beside
 from smoother.errors import SmootherError
 
 if TYPE_CHECKING:
-    from smoother.estimate.check import Check
+    from smoother.estimate.judge.check import Check
 
 _MARKS = {"ok": "ok", "warning": "note", "stop": "STOP"}
 
@@ -58,7 +58,7 @@ def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> i
 
 
 def _attempt(path: Path, is_only: bool) -> Check | SmootherError:
-    from smoother.estimate.check import check as check_recording
+    from smoother.estimate.judge.check import check as check_recording
 
     with progress_on_terminal() as progress:
         progress("reading", 0.0)

@@ -26,7 +26,7 @@ from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, nami
 
 if TYPE_CHECKING:
     from smoother.cli.output import Progress
-    from smoother.estimate.quality import Quality
+    from smoother.estimate.judge.quality import Quality
 
 SETTLED = 10.0  # s; attitude is also scored without them, as it needs motion to become known
 BESIDE, MOSTLY = 5.0, 0.5  # s before the first and after the last row; share of a truth with other times
@@ -85,8 +85,8 @@ def evaluate(sessions: tuple[Path, ...], recording: int | None, solver: str, ski
 def score(path: Path, options: Options, skip: float, progress: Progress) -> tuple[dict[str, Figures], Quality]:
     """Return the figures of each estimator by its key in LABELS, and the quality gate of the smoother."""
     from smoother import api
-    from smoother.estimate.evaluate import at_fixes, without_doubtful_velocity
-    from smoother.estimate.evaluate import evaluate as evaluate_against
+    from smoother.estimate.judge.evaluate import at_fixes, without_doubtful_velocity
+    from smoother.estimate.judge.evaluate import evaluate as evaluate_against
 
     progress("reading", 0.0)
     directory = session_directory(path)

@@ -39,7 +39,7 @@ from smoother.units import KMH
 from smoother.words import duration
 
 if TYPE_CHECKING:
-    from smoother.estimate.quality import Quality
+    from smoother.estimate.judge.quality import Quality
     from smoother.laps.results import LapAnalysis
     from smoother.samples import RawSession, Session
     from smoother.trajectory import Trajectory

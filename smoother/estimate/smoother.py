@@ -16,15 +16,14 @@ import numpy as np
 
 from smoother.estimate.fixes.agreement import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
-from smoother.estimate.in_step import identified as identified_delay
+from smoother.estimate.fixes.reported_noise import unseen_wander
 from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.begin import Begun, begin
 from smoother.estimate.initial.guess import Start, have_samples
 from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.model.imu import sampled_spans
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.sampled import sampled_spans
 from smoother.estimate.model.state import COLUMNS
-from smoother.estimate.noise_of_fixes import unseen_wander
 from smoother.estimate.output.estimated import Estimated, attitude_variance, without_samples
 from smoother.estimate.output.identified import field_values
 from smoother.estimate.output.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
@@ -35,10 +34,11 @@ from smoother.estimate.output.stated import (
     contradicted_noise,
 )
 from smoother.estimate.output.trajectory import build_trajectory, row_times
-from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
+from smoother.estimate.preprocess.clock import clock_problems, clock_scale, in_session_time, in_true_time
+from smoother.estimate.preprocess.force_delay import identified as identified_delay
+from smoother.estimate.preprocess.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.solve import Solved, solve
 from smoother.estimate.solvers.covariance import IndeterminateError
-from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import (
     IMU_SHAKEN,
@@ -93,7 +93,7 @@ LONGEST_ARM = 2.5  # m from box to antenna, more than any kart is long
 
 @dataclass
 class GraphSmoother:
-    """The factor-graph smoother: an Estimator. keep: called with what was solved, for who goes on from it."""
+    """The factor-graph smoother. keep: called with what was solved, for who goes on from it."""
 
     options: GraphOptions = field(default_factory=GraphOptions)
     progress: Progress | None = None

@@ -10,7 +10,7 @@ from smoother.estimate.initial.guess import Start, informed, problem_of
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.initial.parts import busiest_part, is_partly_sampled, longest_sampled
 from smoother.estimate.model.heading import Heading
-from smoother.estimate.model.sampled import HOLE
+from smoother.estimate.model.imu import HOLE
 from smoother.estimate.output.estimated import Estimated, estimated, known_from
 from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
 from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held, with_rectification

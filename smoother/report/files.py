@@ -17,7 +17,7 @@ import polars as pl
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.documents import replacing as replacing
-from smoother.estimate.true_time import clock_of_fixes
+from smoother.estimate.preprocess.clock import clock_of_fixes
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.laps.document import LapColumns
 from smoother.report.channels import channel_at

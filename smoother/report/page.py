@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from smoother.estimate.check import USELESS, Check, check
-from smoother.estimate.quality import Quality
+from smoother.estimate.judge.check import USELESS, Check, check
+from smoother.estimate.judge.quality import Quality
 from smoother.laps.results import LapAnalysis
 from smoother.report import page_sections as words
 from smoother.report import page_trust

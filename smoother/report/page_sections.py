@@ -7,9 +7,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.check import Check
-from smoother.estimate.quality import Quality
-from smoother.estimate.true_time import utc_clock
+from smoother.estimate.judge.check import Check
+from smoother.estimate.judge.quality import Quality
+from smoother.estimate.preprocess.clock import utc_clock
 from smoother.laps.clock import chance_text, local_day, local_time, local_zone, spread_text
 from smoother.laps.lost import Loss, largest_losses, likely_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics

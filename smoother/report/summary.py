@@ -6,8 +6,8 @@ import numpy as np
 
 import smoother
 from smoother.arrays import are_near, median
-from smoother.estimate.quality import Quality
-from smoother.estimate.true_time import utc_clock
+from smoother.estimate.judge.quality import Quality
+from smoother.estimate.preprocess.clock import utc_clock
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.laps.results import LapAnalysis
 from smoother.laps.top_speed import reliable_rows, speed_sigma, top_speed

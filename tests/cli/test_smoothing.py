@@ -14,7 +14,7 @@ import pytest
 
 from smoother.cli import pipeline
 from smoother.cli.main import run
-from smoother.estimate.quality import Quality
+from smoother.estimate.judge.quality import Quality
 
 TABLES_ONLY = ["--no-figures", "--no-baseline"]
 Captured = pytest.CaptureFixture[str]
@@ -276,7 +276,7 @@ def test_a_result_that_fails_its_gate_is_written_said_and_exit_code_3(
     monday: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     failed = Quality(False, ("the trajectory leaves the fixes for 40 s",), {})
-    monkeypatch.setattr("smoother.estimate.quality.assess", lambda session, estimate: failed)
+    monkeypatch.setattr("smoother.estimate.judge.quality.assess", lambda session, estimate: failed)
     assert run([str(monday), *TABLES_ONLY]) == 3
     output = capsys.readouterr()
     assert output.err.count("\n") == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.quality import assess
+from smoother.estimate.judge.quality import assess
 from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare

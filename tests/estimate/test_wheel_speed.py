@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from smoother import api
-from smoother.estimate.pauses import Pauses, closed_up
 from smoother.estimate.preprocess.clock import with_samples_at
+from smoother.estimate.preprocess.pauses import Pauses, closed_up
 from smoother.prepare import prepare
 from smoother.samples import Session, WheelSpeed
 from smoother.sim.scenario import Interval

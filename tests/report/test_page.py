@@ -12,7 +12,7 @@ import pytest
 
 from smoother.cli.lap_tables import figures
 from smoother.config import SessionConfig
-from smoother.estimate.quality import Quality
+from smoother.estimate.judge.quality import Quality
 from smoother.laps.analysis import analyse
 from smoother.laps.document import analysis_document, lap_rows
 from smoother.laps.results import FixPath, LapAnalysis

@@ -15,7 +15,7 @@ from PIL import Image
 
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, with_laps
 from smoother.config import SessionConfig
-from smoother.estimate.quality import Quality
+from smoother.estimate.judge.quality import Quality
 from smoother.laps.stage import stated
 from smoother.prepare import prepare
 from smoother.report.compare_page import Compared, write_comparison

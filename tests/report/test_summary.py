@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.quality import Quality
+from smoother.estimate.judge.quality import Quality
 from smoother.frames import euler_from_rotation
 from smoother.report.files import to_json
 from smoother.report.summary import distance_driven, is_reported, mounting_angles, summary

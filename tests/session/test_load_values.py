@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.errors import SessionError
-from smoother.estimate.check import check
+from smoother.estimate.judge.check import check
 from smoother.frames import Origin
 from smoother.session.clock import regularize
 from smoother.session.csv_form import read_imu

@@ -7,7 +7,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.position import arm_axes
 from smoother.estimate.factors.rows import Between, Rows, along_direction, no_jacobian, rows_of, speeds_alone
 from smoother.estimate.model.motion import LowPassedMotion, Spectrum
 from smoother.estimate.model.state import State

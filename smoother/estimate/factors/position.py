@@ -3,10 +3,9 @@
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array
-from smoother.estimate.factors.antenna import arm_axes
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.factors.rows import Between, Rows, no_jacobian, rows_of
-from smoother.estimate.model.motion import LowPassedMotion
+from smoother.estimate.model.motion import LowPassedMotion, course_of
 from smoother.estimate.model.state import OFFSET, State
 from smoother.frames import UP_N
 
@@ -35,3 +34,50 @@ def position_rows(
     constants = {"position_latency": -(along.velocity_n + swing_n)[:, :, None], "lever_arm": axes}
     residual = between.value(weights) + arm_n + offset_n - measured_n
     return rows_of("gps_position", k, residual, sigma, left, right, constants)
+
+
+# Where the antenna is beside the IMU: the lever arm in n, on the frame of the kart or with the box on the wheel.
+
+
+def arm_axes(between: Between) -> Array:
+    """Rotations (N, 3, 3) that take the lever arm from s to n.
+
+    With a box on the steering wheel the arm keeps to the course of the path: an arm that turned with the wheel would
+    swing the antenna by decimetres that are not there.
+    """
+    geometry = between.state.geometry
+    if not geometry.is_steered:
+        return between.R_ns
+    course = between.linear(course_of(between.state)[:, None])[:, 0]
+    R_nb = np.zeros((len(course), 3, 3))
+    R_nb[:, 0, 0] = R_nb[:, 1, 1] = np.cos(course)
+    R_nb[:, 1, 0] = np.sin(course)
+    R_nb[:, 0, 1] = -R_nb[:, 1, 0]
+    R_nb[:, 2, 2] = 1.0
+    return np.asarray(R_nb @ geometry.level_axes_s)
+
+
+# The slow error of the fixes: a Gauss-Markov process of first order.
+
+
+def offset_rows(state: State, sigma: Array, tau: float, renewed: BoolArray | None = None) -> Rows:
+    """Residual o(k + 1) - phi o(k), m, with variance sigma^2 (1 - phi^2) and phi = exp(-T / tau), in every interval.
+
+    sigma (3,) or (K-1, 3) m; tau s. renewed (K-1,): intervals after which the error is another one (phi = 0).
+    Source: Gelb 1974, 3.8.
+    """
+    n = len(state.t) - 1
+    phi = np.full((n, 1), np.exp(-state.interval / tau))
+    if renewed is not None:
+        phi[renewed] = 0.0
+    left, right = no_jacobian(n, 3)
+    left[:, :, OFFSET], right[:, :, OFFSET] = -phi[:, :, None] * np.eye(3), np.eye(3)
+    residual = state.offset_n[1:] - phi * state.offset_n[:-1]
+    return rows_of("gps_offset", np.arange(n), residual, sigma * np.sqrt(1.0 - phi**2), left, right)
+
+
+def offset_start_rows(state: State, sigma: Array) -> Rows:
+    """Residual o(0), m: stationary at the start. sigma (3,) m."""
+    left, right = no_jacobian(1, 3)
+    left[:, :, OFFSET] = np.eye(3)
+    return rows_of("gps_offset_start", np.zeros(1, np.int64), state.offset_n[:1], sigma, left, right)

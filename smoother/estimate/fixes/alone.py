@@ -20,9 +20,7 @@ from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, offset_model
 from smoother.estimate.fixes.path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.fixes.path_noise import LEAST_SIGMA
 from smoother.estimate.fixes.pieces import fit_path
-from smoother.estimate.gnss_settling import settling_problems, unsettled
-from smoother.estimate.left_out import without_positions
-from smoother.estimate.noise_of_fixes import (
+from smoother.estimate.fixes.reported_noise import (
     hidden_wander,
     noise_of_fixes,
     scatter_of_fixes,
@@ -30,6 +28,7 @@ from smoother.estimate.noise_of_fixes import (
     wander_from_laps,
     wander_of_fixes,
 )
+from smoother.estimate.fixes.settling import settling_problems, unsettled, without_positions
 from smoother.fit.lap_registration import register_laps
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
@@ -63,7 +62,7 @@ class GnssOnlyOptions:
 
 
 class GnssSmoother:
-    """Positions and Doppler velocity smoothed together, no inertial sensor; an Estimator."""
+    """Positions and Doppler velocity smoothed together, no inertial sensor."""
 
     name = "gps-only"
 

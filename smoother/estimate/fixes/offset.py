@@ -19,7 +19,7 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.estimate.fixes.path import GnssPath
-from smoother.estimate.slow_doppler import SlowVelocity
+from smoother.estimate.fixes.slow_errors import SlowVelocity
 
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
 SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes before they tell

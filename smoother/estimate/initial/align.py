@@ -20,10 +20,18 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, runs_of
 from smoother.disc import pieces, release, roomy
-from smoother.estimate.averages import WINDOW, averages_of, in_gap, steps
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
-from smoother.estimate.path_motion import LAGS, MIN_SPEED, PathMotion, path_axes, peak, sampled_at_speed, thinned
+from smoother.estimate.preprocess.averages import WINDOW, averages_of, in_gap, steps
 from smoother.estimate.preprocess.gains import Gains
+from smoother.estimate.preprocess.path_motion import (
+    LAGS,
+    MIN_SPEED,
+    PathMotion,
+    path_axes,
+    peak,
+    sampled_at_speed,
+    thinned,
+)
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
 from smoother.units import STANDARD_GRAVITY

@@ -4,18 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from smoother.arrays import BoolArray
-from smoother.estimate.averages import averages_of
-from smoother.estimate.gnss_settling import settling_problems, unsettled
-from smoother.estimate.in_step import in_step
+from smoother.estimate.fixes.settling import settling_problems, unsettled, without_positions
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.guess import Start, make_start
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.left_out import without_positions
-from smoother.estimate.path_motion import sampled_at_speed
-from smoother.estimate.pauses import Pauses, closed_up
+from smoother.estimate.preprocess.averages import averages_of
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Drift, fit_drift
+from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, in_step
+from smoother.estimate.preprocess.path_motion import sampled_at_speed
+from smoother.estimate.preprocess.pauses import Pauses, closed_up
 from smoother.estimate.preprocess.streams import Measured, compare_streams
-from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
 
 BARELY = 0.3  # sigmas, from which on a corrected drift is corrected again

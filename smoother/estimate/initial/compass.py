@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.estimate.factors.heading import heading_rows
+from smoother.estimate.factors.constraints import heading_rows
 from smoother.estimate.initial.guess import Start
 from smoother.estimate.model.heading import Heading, heading_from_field
 from smoother.estimate.model.imu import MOSTLY_MISSING, BinnedImu

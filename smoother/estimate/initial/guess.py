@@ -8,8 +8,8 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
+from smoother.estimate.factors.constraints import far_from_heights
 from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, readings_inside, table_without
-from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.factors.wheel_speed import readings_of
 from smoother.estimate.fixes.claims import claims_of, receiver_share
@@ -17,17 +17,14 @@ from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.fixes.screen import most_say_velocity
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
-from smoother.estimate.initial.at_rest import scale_at_rest
-from smoother.estimate.initial.first_noise import first_noise, scatter_of
+from smoother.estimate.initial.first_noise import first_noise, scale_at_rest, scatter_of
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.left_out import tell_motion
-from smoother.estimate.model.imu import BinnedImu, bin_imu, halved
+from smoother.estimate.model.imu import BinnedImu, are_sampled, bin_imu, halved, has_hole, sampled_spans
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
-from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
-from smoother.estimate.path_motion import MIN_SPEED, PathMotion, near_told
-from smoother.estimate.pauses import NO_PAUSES, Pauses
+from smoother.estimate.preprocess.on_wheel import is_on_wheel, without_the_wheels
+from smoother.estimate.preprocess.path_motion import MIN_SPEED, PathMotion, near_told
+from smoother.estimate.preprocess.pauses import NO_PAUSES, Pauses
 from smoother.estimate.solvers.identify import Problem
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.fit.standstill import believed_at_rest, session_standstill
@@ -72,7 +69,8 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
     assert session.imu is not None
     path = fit_path(session)
     is_measured = most_say_velocity(session.gnss.velocity_n)
-    told = tell_motion(session, by_velocity=is_measured)
+    moving = session.gnss.velocity_n if is_measured else session.fix_position_n
+    told = np.asarray(np.isfinite(moving[:, :2]).all(axis=1))
     is_reported = None if told.all() else near_told(session.gnss.t, told)
     driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_reported)
     alignment = align(session.imu, driven)

@@ -7,7 +7,7 @@ import numpy as np
 from smoother.arrays import BoolArray
 from smoother.estimate.factors.graph import MAX_LATENCY
 from smoother.estimate.initial.guess import Start, busiest_span, have_samples
-from smoother.estimate.model.sampled import has_hole
+from smoother.estimate.model.imu import has_hole
 
 
 def busiest_part(start: Start, span: float) -> Start:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from smoother.estimate.fixes.screen import says_velocity
 from smoother.estimate.initial.align import Alignment, align
-from smoother.estimate.path_motion import PathMotion
+from smoother.estimate.preprocess.path_motion import PathMotion
 from smoother.samples import GnssFixes, ImuSamples, Problem, RawImu, RawSession
 from smoother.units import DEG
 

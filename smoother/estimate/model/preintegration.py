@@ -5,7 +5,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.model.imu import BinnedImu
-from smoother.estimate.model.inertial_noise import InertialNoise, shared_densities
+from smoother.estimate.model.noise import InertialNoise, shared_densities
 from smoother.units import STANDARD_GRAVITY
 
 

@@ -8,9 +8,9 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.factors.graph import TABLE
 from smoother.estimate.fixes.offset import OffsetModel
+from smoother.estimate.fixes.reported_noise import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes
 from smoother.estimate.model.heading import ANY_HARD_IRON, ANY_IRON, Heading
 from smoother.estimate.model.state import COLUMNS, CONSTANTS, Constant
-from smoother.estimate.noise_of_fixes import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.mounting import FittedMounting
 from smoother.estimate.output.noise_uncertainty import ANY_SLIP

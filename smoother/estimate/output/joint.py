@@ -14,11 +14,10 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, median
 from smoother.disc import Shelf, release
-from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.position import arm_axes
 from smoother.estimate.factors.rows import Between, no_jacobian
+from smoother.estimate.fixes.slow_errors import DOPPLER, SlowErrors
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, State
-from smoother.estimate.slow_doppler import DOPPLER
-from smoother.estimate.slow_errors import SlowErrors
 from smoother.estimate.solvers.covariance import Chain
 from smoother.trajectory import JointPosition
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces, release, roomy
-from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.position import arm_axes
 from smoother.estimate.factors.rows import Between
 from smoother.estimate.output.dense_rows import TOGETHER, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated, attitude_variance, without_samples

@@ -17,7 +17,7 @@ from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
 from smoother.estimate.model.imu import are_told
 from smoother.estimate.model.state import State
 from smoother.estimate.output.ground import CELL, Visits
-from smoother.estimate.path_motion import MIN_SPEED
+from smoother.estimate.preprocess.path_motion import MIN_SPEED
 from smoother.fit.running import gaussian_mean
 from smoother.frames import to_left, wrap_angle
 from smoother.trajectory import Keyframes

@@ -9,10 +9,10 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.factors.rows import Rows
 from smoother.estimate.factors.wheels import MEMORY, slip_of
+from smoother.estimate.fixes.reported_noise import hidden_wander
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import OFFSET
-from smoother.estimate.noise_of_fixes import hidden_wander
 from smoother.estimate.solvers.identify import Solution
 from smoother.estimate.solvers.variance_components import SLIP_COUNT, RowComponent, SampleComponent
 from smoother.fit.noise_spread import Residuals, of_force, of_positions, of_rate, of_velocities

@@ -10,8 +10,9 @@ from smoother.estimate.factors.rows import Rows
 from smoother.estimate.fixes.claims import claims_of
 from smoother.estimate.fixes.offset import OffsetModel, unseen_variance
 from smoother.estimate.fixes.path import UNKNOWN_HEIGHT
+from smoother.estimate.fixes.reported_noise import wander_from_laps
+from smoother.estimate.fixes.slow_errors import SlowErrors, slow_errors
 from smoother.estimate.model.imu import BinnedImu
-from smoother.estimate.noise_of_fixes import wander_from_laps
 from smoother.estimate.output.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.identified import doubt_by_rates, identified_values, unsure_moment
@@ -20,8 +21,7 @@ from smoother.estimate.output.kart_keyframes import keyframes_of_kart, widen
 from smoother.estimate.output.mounting import FittedMounting, swing_on_the_wheel
 from smoother.estimate.output.residual_statistics import row_statistics
 from smoother.estimate.output.wander import offset_at_fixes, share_wander, unaided
-from smoother.estimate.pauses import NO_PAUSES, Pauses
-from smoother.estimate.slow_errors import SlowErrors, slow_errors
+from smoother.estimate.preprocess.pauses import NO_PAUSES, Pauses
 from smoother.fit.lap_registration import LapRegistration, register_laps
 from smoother.samples import Problem, Sampling, Session
 from smoother.trajectory import (

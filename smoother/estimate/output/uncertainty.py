@@ -7,7 +7,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.disc import pieces
-from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.position import arm_axes
 from smoother.estimate.factors.rows import Between
 from smoother.estimate.model.state import (
     ACCEL_BIAS,

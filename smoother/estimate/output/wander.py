@@ -25,10 +25,9 @@ from smoother.arrays import Array
 from smoother.disc import roomy
 from smoother.estimate.factors.rows import Rows, rows_of
 from smoother.estimate.fixes.offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
+from smoother.estimate.fixes.slow_errors import DOPPLER, SlowErrors, SlowVelocity
 from smoother.estimate.model.state import State
-from smoother.estimate.resample import bracket, hermite, hermite_slope
-from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
-from smoother.estimate.slow_errors import SlowErrors
+from smoother.estimate.output.resample import bracket, hermite, hermite_slope
 from smoother.estimate.solvers.linear import solve_rows
 
 WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is

@@ -16,8 +16,7 @@ from smoother.estimate.factors.graph import Graph
 from smoother.estimate.factors.rows import Rows, after_step
 from smoother.estimate.factors.wheels import MEMORY
 from smoother.estimate.model.imu import BinnedImu
-from smoother.estimate.model.inertial_noise import InertialNoise, Shape, shared_densities
-from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.noise import InertialNoise, Noise, Shape, shared_densities
 from smoother.estimate.model.state import ACCEL_BIAS, COLUMNS, GYRO_BIAS, ROTATION
 from smoother.estimate.solvers.batch import Step
 from smoother.estimate.solvers.covariance import Covariances

@@ -8,8 +8,8 @@ import pytest
 from smoother import so3
 from smoother.config import MagnetometerUse, Mounting, SessionConfig
 from smoother.estimate.baseline.baseline import BaselineOptions, ThesisBaseline
-from smoother.estimate.evaluate import evaluate
-from smoother.estimate.gps_alone import GpsAlone
+from smoother.estimate.baseline.gps_alone import GpsAlone
+from smoother.estimate.judge.evaluate import evaluate
 from smoother.frames import euler_from_rotation, rotation_from_euler
 from smoother.prepare import prepare
 from smoother.sim.motion import Motion

@@ -8,9 +8,8 @@ from smoother.arrays import Array
 from smoother.estimate.factors.graph import Inputs, Measurements, Priors
 from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.model.heading import Heading
-from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.model.motion import LowPassedMotion
-from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
 from smoother.samples import WheelSpeed
 

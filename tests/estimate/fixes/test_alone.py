@@ -11,10 +11,10 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from smoother.arrays import Array
 from smoother.config import GnssTiming, SessionConfig
-from smoother.estimate.evaluate import evaluate
+from smoother.estimate.baseline.gps_alone import GpsAlone
 from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
-from smoother.estimate.gps_alone import GpsAlone
-from smoother.estimate.quality import assess
+from smoother.estimate.judge.evaluate import evaluate
+from smoother.estimate.judge.quality import assess
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.laps.sigma import position_errors
 from smoother.laps.top_speed import top_speed

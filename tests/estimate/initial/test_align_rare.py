@@ -8,7 +8,7 @@ import pytest
 from smoother import so3
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare
-from smoother.estimate.path_motion import PathMotion
+from smoother.estimate.preprocess.path_motion import PathMotion
 from smoother.estimate.smoother import STRANGE_OF_CHANGES
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.initial import guess
-from smoother.estimate.initial.at_rest import LASTS, USUAL_SHARE, scale_at_rest
+from smoother.estimate.initial.first_noise import LASTS, USUAL_SHARE, scale_at_rest
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 

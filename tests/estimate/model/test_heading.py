@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.factors.heading import heading_rows
+from smoother.estimate.factors.constraints import heading_rows
 from smoother.estimate.model.heading import FLOOR, _memory, heading_from_field, repeating
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
 from smoother.fit.magnetic_model import field_n

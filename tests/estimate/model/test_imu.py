@@ -8,7 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.model.imu import BinnedImu, DensePath, bin_imu, dense_path, halved, motion_at
-from smoother.estimate.model.inertial_noise import InertialNoise
+from smoother.estimate.model.noise import InertialNoise
 from smoother.estimate.model.preintegration import preintegrate
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples

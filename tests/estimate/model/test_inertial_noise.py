@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.model.imu import BinnedImu, bin_imu
-from smoother.estimate.model.inertial_noise import (
+from smoother.estimate.model.noise import (
     MISSING_ACCEL,
     MISSING_GYRO,
     InertialNoise,

@@ -6,7 +6,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.estimate.model.imu import BinnedImu, bin_imu
-from smoother.estimate.model.inertial_noise import InertialNoise
+from smoother.estimate.model.noise import InertialNoise
 from smoother.estimate.model.preintegration import preintegrate
 
 from .shaken import NO_BIAS, Shaken

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smoother.estimate.model.sampled import HOLE, are_sampled, has_hole, sampled_spans
+from smoother.estimate.model.imu import HOLE, are_sampled, has_hole, sampled_spans
 
 SPANS = np.array([[0.0, 10.0], [30.0, 50.0]])
 

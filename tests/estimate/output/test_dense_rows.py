@@ -5,8 +5,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.model.imu import BinnedImu
-from smoother.estimate.model.inertial_noise import InertialNoise
-from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, State
 from smoother.estimate.output.dense_rows import DenseRows, _between_samples, _bridge
 from smoother.estimate.output.uncertainty import antenna_covariance, bend_covariance, track_variance

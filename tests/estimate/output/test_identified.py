@@ -8,11 +8,10 @@ import pytest
 
 from smoother.config import SessionConfig
 from smoother.estimate.factors.graph import Priors
+from smoother.estimate.fixes.reported_noise import noise_of_fixes, scatter_of_fixes
 from smoother.estimate.model.heading import FieldFit, Heading
-from smoother.estimate.model.inertial_noise import InertialNoise
-from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE
-from smoother.estimate.noise_of_fixes import noise_of_fixes, scatter_of_fixes
 from smoother.estimate.output.estimated import Estimated, Known
 from smoother.estimate.output.identified import field_values, identified_values
 from smoother.estimate.output.joint import WindowsJoint

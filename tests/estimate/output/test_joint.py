@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import quad
 
 from smoother.arrays import Array
+from smoother.estimate.fixes.slow_errors import DOPPLER
 from smoother.estimate.output.joint import POSITION_TAU, WindowsJoint, WithUnseen, wander
-from smoother.estimate.slow_doppler import DOPPLER
 from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset

@@ -351,7 +351,6 @@ def test_a_box_on_the_wheel_of_a_calm_driver_is_noticed_by_how_it_leans_into_ben
         keyframes_of_calm_drive(hand=0.4 * DEG),  # a hand moves it, and the bends do not
         keyframes_of_calm_drive(bank=1.6, hand=0.4 * DEG, column=10.0 * DEG),  # there, of a kart that is corrected
         keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG, column=80.0 * DEG),  # it rocks about its length
-        keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG, bank=8.0),  # what leans as two wheels do
     ],
 )
 def test_what_leans_otherwise_is_not_taken_for_a_calm_drivers_wheel(other: Keyframes) -> None:

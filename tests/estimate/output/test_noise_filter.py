@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smoother.estimate.output.noise_filter import without_noise
+from smoother.estimate.output.dense_rows import without_noise
 
 DT, N = 0.02, 15_000
 T = DT * np.arange(N)

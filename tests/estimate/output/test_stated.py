@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 
 from smoother import so3
 from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
+from smoother.estimate.judge.quality import assess
 from smoother.estimate.output.stated import contradicted_filter
-from smoother.estimate.quality import assess
 from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Problem

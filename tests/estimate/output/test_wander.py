@@ -8,9 +8,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from smoother.arrays import Array
 from smoother.estimate.fixes.offset import Drift
+from smoother.estimate.fixes.slow_errors import DOPPLER, SlowVelocity
 from smoother.estimate.output import trajectory as output
 from smoother.estimate.output.wander import likeliest_sigma, most_probable, moved, unaided
-from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
 from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session

@@ -8,8 +8,8 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.estimate.initial.begin import begin
-from smoother.estimate.pauses import pauses_of
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, with_samples_at
+from smoother.estimate.preprocess.pauses import pauses_of
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, are_near
-from smoother.estimate.averages import WINDOW, in_gap
+from smoother.estimate.preprocess.averages import WINDOW, in_gap
 from smoother.frames import wrap_angle
 from smoother.samples import ImuSamples
 
@@ -19,7 +19,7 @@ class PathMotion:
     """Motion of the kart from the fixes. t (N,) s; velocity_n (N, 3) m/s, Up may be NaN.
 
     is_measured: whether these are velocities of the receiver, not of a line through its positions. is_reported (N,):
-    near a fix with a velocity, and not interpolated across removed fixes; None where all are.
+    near a fix that reports one, and no bridge across those that were left out; None where all are.
     """
 
     t: Array

@@ -12,7 +12,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, are_near, median, runs_of
 from smoother.disc import release
 from smoother.estimate.fixes.path import GnssPathOptions
-from smoother.estimate.resample import between_rows, bracket, position_at
+from smoother.estimate.output.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, Session
 from smoother.trajectory import (

@@ -8,8 +8,8 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.estimate.fixes.alone import GnssSmoother
-from smoother.estimate.gnss_settling import settling_problems, unsettled
-from smoother.estimate.quality import assess
+from smoother.estimate.fixes.settling import settling_problems, unsettled
+from smoother.estimate.judge.quality import assess
 from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare

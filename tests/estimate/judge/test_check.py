@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from smoother.disc import pieces
-from smoother.estimate import check as module
-from smoother.estimate.check import Check, check
+from smoother.estimate.judge import check as module
+from smoother.estimate.judge.check import Check, check
 from smoother.prepare import prepare
 from smoother.report.page import recorded_check
 from smoother.samples import IMU_AXES_UNKNOWN, GnssFixes, Problem, RawImu, RawSession

@@ -5,8 +5,15 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.fit import force_delay as module
-from smoother.fit.force_delay import BANDS, FEWEST_BLOCKS, BandDelay, ForceDelay, band_delays, force_delay
+from smoother.estimate.preprocess import force_delay as module
+from smoother.estimate.preprocess.force_delay import (
+    BANDS,
+    FEWEST_BLOCKS,
+    BandDelay,
+    ForceDelay,
+    band_delays,
+    force_delay,
+)
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG

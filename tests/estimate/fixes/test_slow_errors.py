@@ -7,10 +7,9 @@ import pytest
 
 from smoother import api
 from smoother.arrays import Array
+from smoother.estimate.fixes.slow_errors import DOPPLER, SlowErrors, SlowVelocity, slow_errors
 from smoother.estimate.output import trajectory as output
 from smoother.estimate.output.joint import WithUnseen
-from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
-from smoother.estimate.slow_errors import SlowErrors, slow_errors
 from smoother.fit.lap_registration import LapRegistration, register_laps
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset

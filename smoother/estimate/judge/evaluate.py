@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from smoother import so3
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.estimate.resample import is_known, known_rotation, position_at, resample
+from smoother.estimate.output.resample import is_known, known_rotation, position_at, resample
 from smoother.frames import wrap_angle
 from smoother.samples import Session
 from smoother.trajectory import Keyframes, Trajectory

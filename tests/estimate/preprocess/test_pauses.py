@@ -9,7 +9,7 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.pauses import LEFT, LONGEST, NO_PAUSES, Pauses, closed_up, opened_up, pauses_of
+from smoother.estimate.preprocess.pauses import LEFT, LONGEST, NO_PAUSES, Pauses, closed_up, opened_up, pauses_of
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session

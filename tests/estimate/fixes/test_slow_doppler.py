@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
+from smoother.estimate.fixes.slow_errors import DOPPLER, SlowVelocity
 
 
 @pytest.mark.parametrize("h", [1e-3, 0.1, 2.0, 40.0, 500.0])

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.evaluate import evaluate
-from smoother.estimate.smoother import GraphSmoother
-from smoother.estimate.true_time import (
+from smoother.estimate.judge.evaluate import evaluate
+from smoother.estimate.preprocess.clock import (
     clock_of_fixes,
     clock_problems,
     clock_scale,
@@ -15,6 +14,7 @@ from smoother.estimate.true_time import (
     in_true_time,
     utc_clock,
 )
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset

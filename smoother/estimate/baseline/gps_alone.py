@@ -3,7 +3,7 @@
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.resample import between_rows, bracket
+from smoother.estimate.output.resample import between_rows, bracket
 from smoother.samples import Session
 from smoother.trajectory import EstimateReport, Trajectory
 

@@ -7,7 +7,7 @@ from gtsam.symbol_shorthand import V, X
 
 from smoother import api
 from smoother.errors import UsageError
-from smoother.estimate.short_graph import ShortGraph
+from smoother.estimate.output.short_graph import ShortGraph
 from smoother.prepare import prepare
 from smoother.samples import Session
 

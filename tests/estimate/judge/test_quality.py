@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.quality import QualityLimits, assess
+from smoother.estimate.judge.quality import QualityLimits, assess
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
 from smoother.samples import DEAD_AXES, GnssFixes, Problem, Session
 from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory

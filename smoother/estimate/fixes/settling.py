@@ -10,6 +10,8 @@ Some receivers hold their position while they stand. One that holds the first it
 until the kart drives off: then it steps to where it has settled meanwhile, and what it had held was never measured.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
@@ -67,6 +69,13 @@ def _is_cut_short(t: Array, rows: IntArray, known: IntArray) -> bool:
     """Whether the run of fixes `rows` is too short to be looked at by itself, and early: of a receiver that settles."""
     lasts = t[rows[-1]] - t[rows[0]]
     return bool(LEAST < lasts <= 2.0 * LATER and t[rows[-1]] - t[known[0]] < EARLY and rows[-1] < known[-1])
+
+
+def without_positions(session: Session, out: BoolArray) -> Session:
+    """Return the session with the positions of the fixes `out` (N,) unknown, their velocities as they are."""
+    gnss = session.gnss
+    lat_deg, lon_deg, alt_m = (np.where(out, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
+    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
 
 
 def settling_problems(t: Array, out: BoolArray) -> tuple[Problem, ...]:

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smoother.estimate.in_step import advanced, identified, in_step
 from smoother.estimate.initial import begin as begin_module
+from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, advanced, identified, in_step
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
-from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session
 from smoother.session.load import load_raw

@@ -6,9 +6,9 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.estimate.evaluate import at_fixes, evaluate, nees, without_doubtful_velocity
-from smoother.estimate.gps_alone import GpsAlone, fixes_as_trajectory
-from smoother.estimate.resample import resample
+from smoother.estimate.baseline.gps_alone import GpsAlone, fixes_as_trajectory
+from smoother.estimate.judge.evaluate import at_fixes, evaluate, nees, without_doubtful_velocity
+from smoother.estimate.output.resample import resample
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
 from smoother.samples import GnssFixes, Session
 from smoother.trajectory import EstimateReport, Keyframes, Sigmas, Trajectory

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.fixes.offset import OffsetModel
-from smoother.estimate.noise_of_fixes import hidden_wander, noise_of_fixes, scatter_of_fixes, wander_of_fixes
+from smoother.estimate.fixes.reported_noise import hidden_wander, noise_of_fixes, scatter_of_fixes, wander_of_fixes
 
 WHITE, STILL = np.array([2.0, 2.0, 4.0]), np.zeros(3)
 

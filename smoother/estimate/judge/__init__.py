@@ -1,0 +1,1 @@
+"""What results are compared and judged by."""
