@@ -32,7 +32,10 @@ PHRASES = (
 BANNED = re.compile(rf"\b(?:{'|'.join(PHRASES)})", re.IGNORECASE)
 DOCUMENTS = ("*.md", "docs/*.md", "firmware/README.md")
 # packages whose text is plain English already; a package joins when it is
-SOURCES = ("*.py", "*.toml", "batch/*.py", "cli/*.py", "export/*.py", "laps/*.py", "report/*.py", "*/template/*")
+SOURCES = (
+    *("*.py", "*.toml", "batch/*.py", "cli/*.py", "export/*.py", "fit/*.py", "laps/*.py", "live/*.py", "report/*.py"),
+    *("sim/*.py", "*/template/*"),
+)
 EXCUSED = "phrase: ok"
 
 

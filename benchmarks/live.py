@@ -35,12 +35,12 @@ import numpy as np
 from bound import BoundOptions, information_bound
 from smoother import api, so3
 from smoother.arrays import Array
-from smoother.live.beside import Beside
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
 from smoother.live.lag import LagState
-from smoother.live.navigator import Aboard
+from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import Chunk, Receiver
+from smoother.live.remote_navigator import RemoteNavigator
 from smoother.live.running import Drawn, run
 from smoother.live.sources import ReplaySource, SerialSource
 from smoother.live.terminal import TerminalView
@@ -118,7 +118,7 @@ class Score:
 
 
 def _score(simulation: Simulation) -> Score:
-    aboard = Aboard(Foreground())
+    aboard = LocalNavigator(Foreground())
     states = [s.lag for s in stream_through(stream_of(simulation), aboard) if s.lag is not None]
     if not states:
         raise SystemExit(f"{simulation.raw.name}: the smoother never began; a longer --duration is needed")
@@ -173,7 +173,7 @@ def stream_of(simulation: Simulation) -> bytes:
         return b"".join(iter(source.read, None))
 
 
-def stream_through(stream: bytes, aboard: Aboard) -> list[Snapshot]:
+def stream_through(stream: bytes, aboard: LocalNavigator) -> list[Snapshot]:
     """Return all snapshots of a stream that is taken in small pieces."""
     engine = Engine(aboard)
     size = max(1, round(4500 / TICKS))  # bytes a second of the usual stream
@@ -211,7 +211,7 @@ def _show(port: str, options: argparse.Namespace) -> None:
 
     stop = time.monotonic() + options.duration / options.speed - 0.5
     view = _view(options.terminal, port)
-    with Beside() as navigating, Receiver(SerialSource(port)) as receiver, view as shown:
+    with RemoteNavigator() as navigating, Receiver(SerialSource(port)) as receiver, view as shown:
         last = run(receiver, Engine(navigating), shown, None, lambda: time.monotonic() > stop, watch)
         link = receiver.status
     _print(drawn, memory, time.monotonic() - began, time.process_time() - cpu)

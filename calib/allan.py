@@ -1,4 +1,4 @@
-"""Allan deviation of a box that lay still: noise density, bias instability and random walk of each axis."""
+"""Allan deviation of a logger at rest: noise density, bias instability and random walk of each axis."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from smoother.units import DEG
 from smoother.words import measured
 
 PROCEDURE = "noise at rest"
-SHORTEST = 60.0  # s; a minute shows the noise density, ten the bias instability, an hour the random walk
+SHORTEST = 60.0  # s, for the noise density; the bias instability needs ten minutes, the random walk an hour
 _ADVICE = "let the box lie still for ten minutes, better an hour"
 COMMENT = "# of the box at rest, in the form of session.toml. A kart shakes it much more: leave it to `smooth` there."
 
@@ -20,7 +20,7 @@ COMMENT = "# of the box at rest, in the form of session.toml. A kart shakes it m
 def calibrate(recording: Recording, calibration: Calibration) -> Outcome:
     """Return the noise figures of both sensors with sigmas. Raises FitError without a minute at rest on a bench.
 
-    The gyroscope's dependence on temperature, if `calibration` knows it, is taken out before: it is not noise.
+    The gyroscope's dependence on temperature, if `calibration` contains it, is removed before: it is not noise.
     """
     if recording.imu is None:
         raise FitError("no motion sensor was recorded")

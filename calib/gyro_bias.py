@@ -1,4 +1,4 @@
-"""Gyroscope bias: from wherever the box lay still, with its dependence on temperature when that was recorded."""
+"""Gyroscope bias from all rests, with its dependence on temperature if that was recorded."""
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def mean_bias(recording: Recording) -> tuple[Array, Array]:
 
 
 def _inside(recording: Recording) -> np.ndarray:
-    """Mask (N,) of the samples inside the resting positions, hands off."""
+    """Mask (N,) of the samples inside the resting positions."""
     assert recording.imu is not None
     mask = np.zeros(len(recording.imu.t), dtype=np.bool_)
     for position in recording.positions:

@@ -1,8 +1,8 @@
-"""Magnetometer from laps alone: what driving level shows of hard and soft iron, and what it does not.
+"""Magnetometer from laps alone: the observable part of hard and soft iron while driving on the level.
 
-What is found is written down for people and not applied to sessions: the smoother fits the compass to each session by
-itself, and leaves open the constant turn of the heading that is assumed here. Applied, it made the yaw of simulated
-karts worse (0.8 to 1.2 deg).
+The result is written as information and not applied to sessions: the smoother fits the magnetometer to each session,
+including a constant heading offset, which is assumed zero here. Applied, it made the yaw of simulated karts worse (0.8
+to 1.2 deg).
 """
 
 import datetime as dt
@@ -26,7 +26,7 @@ DRIVING = 3.0  # m/s
 
 
 def calibrate(recording: Recording) -> Outcome:
-    """Return hard and soft iron as far as laps show them; what they do not is assumed and named. Raises FitError."""
+    """Return the observable part of hard and soft iron; the rest is assumed and named. Raises FitError."""
     if recording.mag is None:
         raise FitError("no magnetometer was recorded")
     if recording.imu is None or not recording.is_driven:

@@ -1,4 +1,4 @@
-"""Level and heading of the box at rest (thesis, eq. 2.17-2.32 with its errata), with declination and inclination."""
+"""Level and heading of the logger at rest (thesis, eq. 2.17-2.32 with its errata), with declination and inclination."""
 
 import datetime as dt
 from typing import Any
@@ -21,7 +21,7 @@ PROCEDURE = "level and heading"
 DECLINATION_SIGMA, INCLINATION_SIGMA = 0.36 * DEG, 0.2 * DEG  # error model of the World Magnetic Model
 FEWEST_READINGS = 5
 OUTLIER = 5.0  # times the median distance of a reading
-AXES_SIGMA = 0.5 * DEG  # by which chips on one board may be turned against each other
+AXES_SIGMA = 0.5 * DEG  # rotation between two chips on one board
 COMMENT = "# of the box as it lay; `smooth` does not use it: it finds the mounting while driving"
 DRAWN = 4000  # samples in the figure
 
@@ -37,7 +37,7 @@ def calibrate(
 
     `calibration` is applied first. has_common_axes: the magnetometer is known to be in the axes of the accelerometer;
     else AXES_SIGMA goes into the sigmas. place and date: for the magnetic model; None: those of the recording.
-    Raises FitError when the box never lay still.
+    Raises FitError without a rest.
     """
     if recording.imu is None:
         raise FitError("no motion sensor was recorded")

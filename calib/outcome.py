@@ -1,4 +1,4 @@
-"""What a procedure found: values with their sigmas, before and after, and its part of the Calibration."""
+"""The outcome of a procedure: values with their sigmas, before and after, and its part of the Calibration."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,9 +11,9 @@ from smoother.calibration import Calibration
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """A figure with one standard deviation (None: not a measured one), both in `unit`; arrays of the same shape.
+    """A value with one standard deviation (None: not a measured one), both in `unit`; arrays of the same shape.
 
-    `note` says what a reader must know of it: not seen, held at the prior, assumed.
+    `note`: a restriction, such as not observable, held at the prior, assumed.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Comparison:
 class Outcome:
     """One procedure on one recording.
 
-    `calibration` holds its values and nothing else; `notes` are tables of calibration.toml that are for people;
+    `calibration` holds its values only; `notes` are tables of calibration.toml for information;
     `remarks` are sentences. `drawing` is the fit and the data that its figure shows, by name.
     """
 

@@ -1,6 +1,6 @@
-"""A recording to calibrate from: whatever sensors it has, GPS or not, in SI and on an even time base.
+"""A recording for calibration, with or without GPS, in SI and on an even time base.
 
-Unlike a session it may have been made on a bench, so nothing but one sensor has to be there.
+Unlike a session it may come from a bench; one sensor is enough.
 """
 
 import datetime as dt
@@ -31,7 +31,7 @@ from smoother.session.thesis import read_magcalib, read_out
 from smoother.units import MICROSECOND
 from smoother.words import listed
 
-DRIVING_SPEED = 3.0  # m/s, exceeded for a twentieth of the time: somebody drove
+DRIVING_SPEED = 3.0  # m/s, exceeded for a twentieth of the time in a drive
 FEWEST_ROWS = 32
 TEMPERATURE_COLUMN = "temp_c"
 
@@ -75,7 +75,7 @@ class Recording:
 
     @cached_property
     def origin(self) -> Origin | None:
-        """The place, from the fixes; None if there are none."""
+        """Origin from the fixes; None without fixes."""
         if self.fixes is None or not len(self.fixes):
             return None
         known = self.fixes.alt_m[np.isfinite(self.fixes.alt_m)]
@@ -93,7 +93,7 @@ class Recording:
 
     @cached_property
     def is_driven(self) -> bool:
-        """Whether the fixes show a kart on the move, rather than a box on a bench."""
+        """Whether the fixes show a kart on the move, rather than a logger on a bench."""
         if self.fixes is None or self.origin is None or len(self.fixes) < FEWEST_ROWS:
             return False
         speed, _ = fix_speeds(self.fixes, self.origin, StandstillOptions())
@@ -102,7 +102,7 @@ class Recording:
 
     @cached_property
     def is_at_rest(self) -> BoolArray:
-        """Mask (N,) of the inertial samples at which the box lay still: judged with the fixes where somebody drove."""
+        """Mask (N,) of the inertial samples at rest: judged with the fixes in a drive."""
         assert self.imu is not None
         if not self.is_driven:
             return detect_standstill(self.imu.t, self.force, self.rate)
@@ -112,7 +112,7 @@ class Recording:
 
     @cached_property
     def positions(self) -> tuple[RestingPosition, ...]:
-        """Where it lay still, with the mean readings there."""
+        """The resting positions with their mean readings."""
         assert self.imu is not None
         return resting_positions(self.imu.t, self.force, self.rate, self.is_at_rest, self.imu.temperature)
 
@@ -127,14 +127,14 @@ class Recording:
         return int(i), int(j) + 1
 
     def calibrated(self, calibration: Calibration) -> tuple[Array, Array]:
-        """Specific force and angular rate, each (N, 3), with what is known applied."""
+        """Specific force and angular rate, each (N, 3), calibrated."""
         assert self.imu is not None
         samples = calibration.apply_to_imu(self.imu)
         return samples.specific_force_s, samples.angular_rate_s
 
 
 def load_recordings(path: Path) -> list[Recording]:
-    """Read what lies in a directory, or what a file belongs to: one recording, or all on a card of the logger.
+    """Read the recordings of a directory or a file: one, or all on a card of the logger.
 
     Raises SessionError if no sensor is in it.
     """
@@ -158,7 +158,7 @@ def _read_log(files: LogFiles) -> Recording:
     mag, mag_problems = mag_samples(records, name)
     try:
         fixes = fixes_from_sentences(((t * MICROSECOND, text) for t, text in records.sentences), name).gnss
-    except SessionError:  # a receiver without a view of the sky says nothing
+    except SessionError:  # a receiver without a view of the sky sends nothing
         fixes = None
     inputs = tuple(path.name for path in files.paths)
     problems = (*imu_problems, *mag_problems)
@@ -225,7 +225,7 @@ def _temperature(path: Path, t: Array) -> Array | None:
 
 
 def _evened(found: Recording) -> Recording:
-    """The recording with evened stamps, and without sensors that delivered next to nothing."""
+    """The recording with evened stamps, and without sensors with too few samples."""
     imu = found.imu if found.imu is not None and len(found.imu.t) >= FEWEST_ROWS else None
     mag = found.mag if found.mag is not None and len(found.mag.t) else None
     dead = [] if imu is None else [f"{axis} of the {sensor}" for sensor, axis in dead_axes(imu)]

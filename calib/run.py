@@ -1,4 +1,4 @@
-"""Run every procedure that some recordings offer, in an order in which each can use what the ones before found."""
+"""Run every procedure that the recordings are sufficient for, each with the results of those before it."""
 
 import datetime as dt
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ class RunOptions:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What was found: one outcome per procedure that succeeded (timing: one per recording), and why others did not.
+    """One outcome per successful procedure (timing: one per recording), and why others failed.
 
     `calibration` is what sessions are to be calibrated by; a magnetometer known from laps alone is only in `notes`.
     """
@@ -44,7 +44,7 @@ def run(
     options: RunOptions | None = None,
     progress: Callable[[str, float], None] = lambda stage, share: None,
 ) -> Results:
-    """Calibrate from all recordings together. Of several that tell the same, the one with the smallest sigma counts."""
+    """Calibrate from all recordings together. Of several outcomes of a procedure the most accurate counts."""
     options = RunOptions() if options is None else options
     state = _State([], [], Calibration())
     steps: list[tuple[str, Procedure]] = [
@@ -64,7 +64,7 @@ def run(
     for i, (name, procedure) in enumerate(steps):
         progress(name, i / len(steps))
         if name == in_kart.PROCEDURE and state.calibration.hard_iron is not None:
-            continue  # readings in all directions say more, and better
+            continue  # readings in all directions are better
         state.take(name, recordings, procedure, keep_all=name == timing.PROCEDURE)
     notes: dict[str, dict[str, object]] = {}
     for outcome in state.outcomes:
@@ -85,7 +85,7 @@ class _State:
 
     @property
     def has_common_axes(self) -> bool:
-        """Whether the magnetometer was brought into the axes of the other sensors."""
+        """Whether the magnetometer is aligned with the axes of the other sensors."""
         return any(outcome.procedure == timing.AGAINST_PROCEDURE for outcome in self.outcomes)
 
     def take(self, name: str, recordings: Sequence[Recording], procedure: Procedure, keep_all: bool) -> None:

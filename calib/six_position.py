@@ -18,7 +18,7 @@ _PRIOR = "not seen: lay the box on edges too"
 
 
 def calibrate(recording: Recording) -> Outcome:
-    """Return offset, scale and misalignment of the accelerometer. Raises FitError when the positions do not tell."""
+    """Return offset, scale and misalignment of the accelerometer. Raises FitError for too few positions."""
     fit = fit_positions(recording)
     positions = recording.positions
     force = np.array([position.force for position in positions])

@@ -1,4 +1,4 @@
-"""Check of timing and signal: rate, jitter, gaps, clipping, vibration with the engine's line, delay of the compass."""
+"""Check of timing and signal: rate, jitter, gaps, clipping, vibration of the engine, latency of the magnetometer."""
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def _longest_piece(recording: Recording) -> tuple[Array, Array, Array]:
 
 
 def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str]) -> list[Value]:
-    name = "engine's line" if is_driven else "strongest line"
+    name = "engine vibration" if is_driven else "strongest line"
     if not line.is_there:
         remarks.append(line.why_none)
         return []
@@ -95,7 +95,7 @@ def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str
     remarks.append(f"{name} seen in {100.0 * line.share:.0f} % of the time")
     if is_driven:
         speeds = ", ".join(f"{rpm:.0f}" for rpm in revolutions(float(np.median(frequency)), hz))
-        remarks.append(f"as sampling folds it, its median frequency could be {speeds or 'no engine speed'} rpm")
+        remarks.append(f"its median frequency may be aliased: {speeds or 'no engine speed'} rpm are possible")
     return [
         Value(f"{name}, from 10 % to 90 % of the time", np.array([low, high]), None, "Hz"),
         Value(f"{name}, median amplitude", float(np.median(amplitude[:, 0])), None, "m/s²"),
@@ -104,9 +104,10 @@ def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str
 
 
 def calibrate_against_gyro(recording: Recording, calibration: Calibration) -> Outcome:
-    """Return how late the magnetometer's stamps are, and how its axes are turned against the gyroscope's.
+    """Return the latency of the magnetometer, and the rotation of its axes against the gyroscope's.
 
-    An ellipsoid cannot show that turn; the soft iron gets it. `calibration` is applied first. Raises FitError.
+    An ellipsoid does not show that rotation; it is added to the soft iron. `calibration` is applied first. Raises
+    FitError.
     """
     if recording.imu is None or recording.mag is None:
         raise FitError("gyroscope and magnetometer are both needed for the delay between them")

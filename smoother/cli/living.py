@@ -58,10 +58,10 @@ def live(
 
     from smoother.calibration import load_calibration
     from smoother.laps.tracks import line_from_text
-    from smoother.live.beside import Beside
     from smoother.live.engine import Engine
     from smoother.live.receiver import Receiver
     from smoother.live.recording import Recorder, SessionWriter
+    from smoother.live.remote_navigator import RemoteNavigator
     from smoother.live.running import run
     from smoother.live.sources import source_for
 
@@ -70,7 +70,7 @@ def live(
     tracks = () if line is None else (line_from_text(line),)
     recorder = None if record is None else Recorder(SessionWriter(record, np.random.default_rng()))
     with (
-        Beside(tracks) as navigating,
+        RemoteNavigator(tracks) as navigating,
         Receiver(source, waits=not source.can_return) as receiver,
         _view(view, headless or as_json, as_json, source) as shown,
         _stopping(seconds) as stop,
@@ -100,7 +100,7 @@ def _report_recorded(recorder: Recorder, has_come: bool) -> bool:
         kept = f"{path} holds the first {_bytes(status.bytes_written)}" if status.bytes_written else "nothing is kept"
         warn(f"recording failed: {status.flaw}; {kept}")
         return False
-    nothing = "nothing was recorded" if has_come else "nothing came, so nothing was recorded"
+    nothing = "nothing was recorded" if has_come else "nothing was received, so nothing was recorded"
     warn(nothing if path is None else f"recorded {path}")
     return True
 
@@ -158,7 +158,7 @@ class _Lines:
         if link.is_open:
             self._has_told = False
         elif link.error and not self._has_told:
-            from smoother.live.words import trouble
+            from smoother.live.view_text import trouble
 
             warn(f"waiting for {self._source.name}: {trouble(link)}")
             self._has_told = True

@@ -1,8 +1,8 @@
-"""How well a noise is known that was found as squared residuals over redundancy: variance components and their spread.
+"""The uncertainty of variance components, identified as squared residuals over redundancy.
 
-What residuals of white noise amount to, a variance is known to by their number. But a source of noise that leaves
-little of itself in the residuals is told by what is left only, and of a change of it they show less than all. Where one
-time of a session is noisier than another, which no such number knows, blocks of time scatter by more.
+The uncertainty of a variance follows from the number of residuals of white noise. A source with a low redundancy is
+identified only from its part in the residuals, which show less than its whole change. Where the noise changes over a
+session, the scatter between blocks of time shows a larger uncertainty.
 """
 
 import math
@@ -13,23 +13,22 @@ import numpy as np
 
 from smoother.arrays import Array
 
-# Sigma of the logarithm of a noise that nothing tells: receivers and boxes of one sort are within half to twice of one
-# another, and all but a few of those that a noise is guessed for.
+# Sigma of the logarithm of a noise that is not identified: receivers and loggers of one kind differ by a factor of two.
 ANY_NOISE = 0.7
-BLOCKS = 24  # of time, whose scatter is known to a seventh
+BLOCKS = 24  # of time; their scatter is then accurate to a seventh
 FEWEST = 5  # residuals in each
-# What the model itself leaves open, in sigmas of a logarithm. Found on 90 simulated karts whose every figure was drawn
-# at random (benchmarks/random_karts.py, draws 1600 to 1689); 120 others, and what they show, stand in docs/accuracy.md.
-OF_FORCE, OF_FORCE_ALONE = 0.12, 0.3  # flexing, leaning, bumps; without Doppler the wander of positions passes for it
+# Errors of the model, as sigmas of a logarithm. From 90 simulated karts with random parameters
+# (benchmarks/random_karts.py, draws 1600 to 1689); 120 others are in docs/accuracy.md.
+OF_FORCE, OF_FORCE_ALONE = 0.12, 0.3  # flexing, leaning, bumps; without Doppler also the wander of positions
 OF_RATE = 0.06
 OF_FIXES = 0.02
-# What is not in residuals is split between a noise and what it is told from, the wander of fixes and the way between
-# velocities, as these were modelled: per share of that to the share that is.
+# The part outside the residuals is split between a noise, the wander of fixes and the motion between velocities by
+# their models: error per ratio of both shares.
 BY_WANDER, BY_FORCE, BY_JERK = 0.7, 0.2, 0.6
 LEAST_SHARE = 0.01
 
 
-def told_as_white(share: float) -> float:
+def redundancy_as_white(share: float) -> float:
     """Part of a small change of white noise that residuals show, which leave `share` of it.
 
     Against a random walk: the mean over all frequencies of the square of what is left, over the mean. With w, the part
@@ -38,7 +37,7 @@ def told_as_white(share: float) -> float:
     return share * (1.5 - 0.5 * share)
 
 
-def told_as_walk(share: float) -> float:
+def redundancy_as_walk(share: float) -> float:
     """Likewise of the noise of a random walk beside white noise: (w + w^3) / 2 over w = share."""
     return 0.5 * (1.0 + share**2)
 
@@ -66,25 +65,25 @@ class Residuals:
 
 def of_positions(residuals: Residuals) -> float:
     """Sigma of the logarithm of the white noise of positions, beside a wander."""
-    own, share = _spread(residuals, told_as_white), max(residuals.share, LEAST_SHARE)
+    own, share = _spread(residuals, redundancy_as_white), max(residuals.share, LEAST_SHARE)
     return min(ANY_NOISE, math.hypot(own, OF_FIXES, BY_WANDER * ((1.0 - share) / share) ** 2))
 
 
 def of_velocities(residuals: Residuals, by_path: float = BY_FORCE) -> float:
     """Likewise of velocities, beside what says how one of them goes on to the next: samples, or a smooth path."""
-    own, share = _spread(residuals, told_as_white), max(residuals.share, LEAST_SHARE)
+    own, share = _spread(residuals, redundancy_as_white), max(residuals.share, LEAST_SHARE)
     return min(ANY_NOISE, math.hypot(own, OF_FIXES, by_path * (1.0 - share) / share))
 
 
 def of_force(residuals: Residuals, *, has_doppler: bool) -> float:
     """Likewise of the force that is measured between fixes."""
-    own = _spread(residuals, told_as_walk)
+    own = _spread(residuals, redundancy_as_walk)
     return min(ANY_NOISE, math.hypot(own, OF_FORCE if has_doppler else OF_FORCE_ALONE))
 
 
 def of_rate(residuals: Residuals) -> float:
     """Likewise of the rate."""
-    return min(ANY_NOISE, math.hypot(_spread(residuals, told_as_walk), OF_RATE))
+    return min(ANY_NOISE, math.hypot(_spread(residuals, redundancy_as_walk), OF_RATE))
 
 
 def _spread(residuals: Residuals, told: Callable[[float], float]) -> float:

@@ -153,9 +153,7 @@ def _checked_fit(
     sigma = np.sqrt(np.diagonal(covariance))
     prior = np.where(np.equal(ROWS, COLUMNS), PRIOR_SCALE, PRIOR_MISALIGNMENT)
     if np.max(sigma[:3]) > LARGEST_OFFSET_SIGMA or np.max(sigma[3:][ROWS == COLUMNS]) > LARGEST_SCALE_SIGMA:
-        raise FitError(
-            "the resting positions are too much alike to tell offset from scale; lay the box on each of its six faces"
-        )
+        raise FitError("the resting positions are too much alike to separate offset and scale; use all six faces")
     matrix = _symmetric(parameters[3:])
     residual = np.linalg.norm((force - parameters[:3]) @ matrix, axis=1) - gravity
     observed = sigma[3:] < OBSERVED * prior

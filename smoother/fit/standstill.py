@@ -11,7 +11,7 @@ judges have to agree:
     does not hide a stop; setting off, turning or being lifted does move the means.
 
 Under a roof fixes may wander at walking pace. Where both sensors are far quieter than they ever are on the move, the
-engine is off and nobody touches the kart, and slow fixes are not believed.
+engine is off and nobody touches the kart, and slow fixes are ignored.
 
 A kart that is turned where it stands, by hand after a spin, is steady to both: whatever has other rates at one time of
 a run than at another, or than the gyroscope's bias where that is known, is no standstill from end to end.

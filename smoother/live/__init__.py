@@ -1,1 +1,1 @@
-"""Live: the stream of the logger while it runs, what it says of the box, and how that is shown."""
+"""Live: the stream of the logger while it runs, the state estimated from it, and its views."""

@@ -1,4 +1,4 @@
-"""Attitude at once: Madgwick's filter of the baseline, fed as samples come in, and the level it starts from."""
+"""Attitude without delay: Madgwick's filter of the baseline on the stream, and its initial level."""
 
 import numpy as np
 
@@ -8,14 +8,14 @@ from smoother.estimate.baseline.baseline import UNITY
 from smoother.estimate.baseline.madgwick import BETA, ZETA, run_madgwick
 from smoother.samples import ImuSamples, MagSamples
 
-START_AFTER = 0.25  # s of samples whose mean force is up
-LONGEST_STEP = 0.5  # s; over a longer gap nothing is known about the turn
-FASTEST = 250.0  # Hz; faster samples are averaged, which costs accuracy far below the filter's own
+START_AFTER = 0.25  # s of samples whose mean force is the initial up
+LONGEST_STEP = 0.5  # s; over a longer gap the rotation is unknown
+FASTEST = 250.0  # Hz; faster samples are averaged, at a loss of accuracy far below that of the filter
 
 
 class MadgwickTracker:
     """The filter between batches. As in the baseline, readings are turned by the attitude at the start and the filter
-    begins at unity. Without a calibrated field its yaw starts at zero and wanders."""
+    begins at unity. Without a calibrated field its yaw starts at zero and drifts."""
 
     def __init__(self) -> None:
         self._first: list[ImuSamples] = []
@@ -35,7 +35,7 @@ class MadgwickTracker:
         return np.eye(3) if self._R_0s is None else so3.from_quaternion_wxyz(self._q[None])[0] @ self._R_0s
 
     def feed(self, imu: ImuSamples, mag: MagSamples | None) -> None:
-        """Take in samples, and the field (used if calibrated) that came with them."""
+        """Process samples, and the field received with them (used if calibrated)."""
         if mag is not None and mag.is_calibrated:
             self._field = mag.field_s[-1]
         if self._R_0s is None:
@@ -69,7 +69,7 @@ class MadgwickTracker:
 
 
 def _averaged(imu: ImuSamples, before: float) -> tuple[Array, Array, Array]:
-    """Steps (M,) s, forces and rates (M, 3): samples as they are, or means of neighbours when they come too fast."""
+    """Steps (M,) s, forces and rates (M, 3): samples, or means of neighbours at rates above FASTEST."""
     step = np.diff(imu.t, prepend=before)
     n = max(1, int(np.ceil(len(step) / max(1.0, FASTEST * float(np.sum(step))))))
     if n == 1:

@@ -1,4 +1,4 @@
-"""From chunks of bytes to records, with an account of everything that was lost. Pure: no clock, no thread."""
+"""From chunks of bytes to records, with counts of all losses. No clock, no thread."""
 
 from dataclasses import dataclass, replace
 
@@ -24,7 +24,7 @@ class Losses:
 
     @property
     def lost_share(self) -> float:
-        """Share (0..1) of the frames sent that did not come."""
+        """Share (0..1) of the sent frames that were not received."""
         return self.lost_frames / max(1, self.frames + self.lost_frames)
 
 
@@ -38,7 +38,7 @@ class Batch:
 
 
 class Decoder:
-    """Takes chunks, gives batches; holds at most one unfinished frame."""
+    """Takes chunks, returns batches; holds at most one unfinished frame."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -86,7 +86,7 @@ class Decoder:
             restarted = last is not None and not -RESTART_US < frame.base_us - last.base_us < JUMP_US
             if last is not None and not restarted:
                 missing = (frame.number - last.number - 1) % _NUMBERS
-                if missing < _NUMBERS // 2:  # else it came twice
+                if missing < _NUMBERS // 2:  # else it is a repetition
                     self.losses = replace(self.losses, lost_frames=self.losses.lost_frames + missing)
             if restarted:
                 self.losses = replace(self.losses, restarts=self.losses.restarts + 1)
@@ -108,7 +108,7 @@ def _syncs_inside(frame: Frame) -> int:
 
 
 def _joined(chunks: list[Chunk]) -> list[Chunk]:
-    """Neighbouring chunks of one connection as one: finding frames costs by the call."""
+    """Neighbouring chunks of one connection as one: because the search for frames has a cost per call."""
     parts: list[list[Chunk]] = []
     for chunk in chunks:
         if chunk.after_break or not parts:

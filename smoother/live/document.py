@@ -1,4 +1,4 @@
-"""A snapshot as one line of JSON, for scripts: degrees and SI, null for what is not known."""
+"""A snapshot as one line of JSON, for scripts: degrees and SI, null for unknown values."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from smoother.units import DEG
 
 
 def document_of(frame: Frame) -> dict[str, object]:
-    """Return what is shown as plain values; keys end in their units."""
+    """Return a frame as plain values; keys end in their units."""
     s, link, recording = frame.snapshot, frame.link, frame.recording
     lag = s.lag
     return {
@@ -69,7 +69,7 @@ def line_of(frame: Frame) -> str:
 
 
 def news_of(frame: Frame) -> str:
-    """Return its line as it would be had no time gone by: equal as long as nothing is new."""
+    """Return its line without elapsed times: equal as long as nothing is new."""
     return line_of(replace(frame, delay=0.0, smoother_delay=0.0))
 
 
@@ -79,7 +79,7 @@ def _angles(R: np.ndarray) -> dict[str, object]:
 
 
 def _plain(value: object) -> object:
-    """Numbers with six digits, null where there is none: JSON knows no NaN."""
+    """Numbers with six digits, null for NaN, which JSON does not have."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list):

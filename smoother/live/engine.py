@@ -1,7 +1,7 @@
-"""The state of a live stream: bytes in, one value out that says all there is to show. No clock, no port, no screen.
+"""The state of a live stream: bytes in, a Snapshot out. No clock, no port, no screen.
 
-What is quick is done here: decoding, Madgwick's filter, rates, the compass's sphere. The rest is the navigator's, which
-may work somewhere else and is never waited for. Everything held is bounded.
+Fast work is done here: decoding, Madgwick's filter, rates, the sphere of the magnetometer. The rest is done by the
+navigator, which may run in another process and is never waited for. All buffers are bounded.
 """
 
 from dataclasses import dataclass, field
@@ -28,30 +28,30 @@ FIT_EVERY = 2.0  # s between fits of the compass's ellipsoid
 
 
 class Navigating(Protocol):
-    """Where the smoother runs: navigator.Aboard, or beside.Beside."""
+    """Where the smoother runs: navigator.LocalNavigator or remote_navigator.RemoteNavigator."""
 
     @property
     def is_behind(self) -> bool:
-        """Whether so much waits that a source that can wait should."""
+        """Whether so many items wait that a source that can wait should."""
         ...
 
     def restart(self) -> None:
-        """Forget everything: the logger was switched off and on."""
+        """Start anew: the logger was switched off and on."""
         ...
 
-    def give(self, items: list[Item], arrival: float) -> Navigation:
-        """Take in items, arrival s of their bytes; return what is known."""
+    def exchange(self, items: list[Item], arrival: float) -> Navigation:
+        """Pass items, arrival s of their bytes; return the newest navigation."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What is known now. t s on the sensor's clock; arrival s on the computer's, of the newest bytes.
+    """The state at one time. t s on the sensor's clock; arrival s on the computer's, of the newest bytes.
 
     madgwick (3, 3): R_ns of the sensor, before there is a mounting, else R_nb of the kart; lag: the smoother's state,
-    None before; smoother_arrival like arrival, of the newest bytes in that; left_out s of stream that it did not take
-    in. force (3,) m/s^2, rate (3,) rad/s: means of the newest samples, in s. rates per second by sensor. speed m/s, of
-    the fix where the smoother has none. field_points (K, 3) uT.
+    None before; smoother_arrival like arrival, of the newest bytes in that; left_out s of stream that it
+    dropped. force (3,) m/s^2, rate (3,) rad/s: means of the newest samples, in s. rates per second by sensor. speed
+    m/s, of the fix where the smoother has none. field_points (K, 3) uT.
     """
 
     t: float = 0.0
@@ -81,7 +81,7 @@ class Snapshot:
 
 
 class _Drive:
-    """What belongs to one run of the logger; a restart begins another."""
+    """State of one run of the logger; a restart begins another."""
 
     def __init__(self) -> None:
         self.imu: ImuSamples | None = None  # the newest
@@ -95,7 +95,7 @@ class _Drive:
 
 
 class Engine:
-    """Takes chunks, gives snapshots. What the navigator finds is taken over when it is there."""
+    """Takes chunks, returns snapshots, and includes the newest navigation."""
 
     def __init__(self, navigating: Navigating, calibration: Calibration | None = None) -> None:
         self._navigating, self._calibration = navigating, calibration or Calibration()
@@ -107,16 +107,16 @@ class Engine:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is still being worked out of what has come."""
+        """Whether received data is still being processed."""
         return self._navigation.is_busy
 
     @property
     def is_behind(self) -> bool:
-        """Whether so much waits for the navigator that a source that can wait should."""
+        """Whether so many items wait for the navigator that a source that can wait should."""
         return self._navigating.is_behind
 
     def step(self, chunks: list[Chunk]) -> tuple[Snapshot, list[Batch]]:
-        """Take in what came; return what is known now, and the records that came, to be written down."""
+        """Process chunks; return the snapshot, and the records to be written."""
         batches = self._decoder.feed(chunks)
         items: list[Item] = []
         for batch in batches:
@@ -126,7 +126,7 @@ class Engine:
                 items = []
             items += self._take(batch.records)
         arrival = batches[-1].arrival if batches else self._snapshot.arrival
-        before, self._navigation = self._navigation, self._navigating.give(items, arrival)
+        before, self._navigation = self._navigation, self._navigating.exchange(items, arrival)
         if batches or _is_news(before, self._navigation) or self._snapshot.losses != self._decoder.losses:
             self._snapshot = self._look(arrival)
         return self._snapshot, batches
@@ -193,13 +193,14 @@ class Engine:
         )
 
     def _stage(self) -> str:
-        """What the navigator does, in words; it lags behind, and may ask for what is being done."""
+        """The stage of the navigator as text."""
         stage, fix = self._navigation.stage, self._drive.fix
         is_driving = fix is not None and speed_of(fix) > MOVED
         return "waiting for the smoother" if is_driving and stage in (DRIVE, NOTHING_YET) else stage
 
     def _is_calibrating(self, now: float) -> bool:
-        """Whether the logger says so; then, and until the kart drives, the compass's ellipsoid is fitted."""
+        """Whether the logger calibrates; then, and until the kart drives, the ellipsoid of the magnetometer is
+        fitted."""
         d, setup = self._drive, self._decoder.setup
         is_calibrating = setup is not None and setup.purpose == PURPOSE_MAG_CALIBRATION
         if now > d.fit_at and (is_calibrating or not d.has_moved):
@@ -209,7 +210,7 @@ class Engine:
 
 
 def _is_news(before: Navigation, after: Navigation) -> bool:
-    """Whether a navigation shows anything else than the one before."""
+    """Whether a navigation differs from the previous one."""
     return before.lag is not after.lag or (before.stage, before.laps.lap) != (after.stage, after.laps.lap)
 
 

@@ -1,14 +1,14 @@
-"""The sphere of the magnetometer: which directions it has seen, and the ellipsoid through them."""
+"""The sphere of the magnetometer: covered directions, and the ellipsoid through the readings."""
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.fit.ellipsoid import COVERAGE_BANDS, COVERAGE_SECTORS, Ellipsoid, FitError, fit_ellipsoid
 
-PER_CELL = 8  # readings kept of each direction; 480 in all, however long it goes on
+PER_CELL = 8  # readings kept of each direction; 480 in all
 CELLS = COVERAGE_BANDS * COVERAGE_SECTORS
-LEAST_EXTENT = 20.0  # uT on every axis, before directions mean anything; the Earth's field gives 50 to 130
-ENOUGH = 0.5  # of the directions, from which on an ellipsoid is tried
+LEAST_EXTENT = 20.0  # uT on every axis for meaningful directions; the Earth's field gives 50 to 130
+ENOUGH = 0.5  # of the directions, above which an ellipsoid is fitted
 
 
 def cell_of(direction: Array) -> int:
@@ -21,7 +21,7 @@ def cell_of(direction: Array) -> int:
 
 
 class FieldSphere:
-    """Readings by direction about the middle of what was seen; the oldest of a full cell makes room."""
+    """Readings by direction about the middle of their extent; the oldest of a full cell is replaced."""
 
     def __init__(self) -> None:
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -31,7 +31,7 @@ class FieldSphere:
         self.flaw = ""
 
     def feed(self, field: Array) -> None:
-        """Take in readings (K, 3) of any unit."""
+        """Add readings (K, 3) of any unit."""
         for reading in field[:: max(1, len(field) // 4)]:
             self._low, self._high = np.minimum(self._low, reading), np.maximum(self._high, reading)
             middle = 0.5 * (self._low + self._high)
@@ -48,7 +48,7 @@ class FieldSphere:
 
     @property
     def coverage(self) -> float:
-        """Share (0..1) of all directions that hold readings, seen from the middle of their extent."""
+        """Share (0..1) of all directions with readings, from the middle of their extent."""
         if not np.all(self._high - self._low > LEAST_EXTENT):
             return 0.0
         return len(self._cells) / CELLS
@@ -59,7 +59,7 @@ class FieldSphere:
         return self._centre if self.ellipsoid is None else self.ellipsoid.centre
 
     def fit(self) -> None:
-        """Fit the ellipsoid where enough has been seen; a tenth of a second."""
+        """Fit the ellipsoid where the coverage is sufficient; takes a tenth of a second."""
         if self.coverage < ENOUGH:
             return
         try:

@@ -1,4 +1,4 @@
-"""What a view is given: all that is known at one moment."""
+"""The input of a view: everything known at one time."""
 
 from dataclasses import dataclass, field
 
@@ -9,9 +9,9 @@ from smoother.live.recording import RecordingStatus
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The newest snapshot and how the connection is; delay s since the newest bytes in it came, smoother_delay s since
-    the newest in the smoother's state, NaN without one; what is written down, None if nothing is to be. is_held: a file
-    waits, as the smoother is behind.
+    """The newest snapshot and the state of the connection; delay s since the arrival of its newest bytes,
+    smoother_delay s since that of the newest bytes in the smoother's state, NaN without one; state of the recording,
+    None without one. is_held: a file waits, because the smoother is behind.
     """
 
     snapshot: Snapshot = field(default_factory=Snapshot)

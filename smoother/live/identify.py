@@ -1,7 +1,7 @@
-"""What a live stream cannot find by itself while it runs: mounting, delays, noise. Done on what has come so far.
+"""Identification of mounting, latencies and noise from the data received so far.
 
-The batch smoother runs over the window in a process of its own. What its graph says, all but the last seconds, is the
-prior that the stream then goes on from, so that no fix counts twice.
+The batch smoother runs over the window in a process of its own. Its graph without the last seconds, marginalised, is
+the prior of the stream, so that no fix counts twice.
 """
 
 from dataclasses import dataclass, replace
@@ -26,15 +26,15 @@ from smoother.live.lag_graph import Marginal, rolling
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 
 T_co = TypeVar("T_co", covariant=True)
-OUTPUT_RATE = 5.0  # Hz; nobody reads the rows
+OUTPUT_RATE = 5.0  # Hz; the rows are not used
 SHORTEST_LAP = 100.0  # m, as for recorded laps
-FEWEST = 10  # keyframes to go on from
-MOVED = 5.0  # m/s; slower fixes say little about the mounting
+FEWEST = 10  # keyframes of a usable result
+MOVED = 5.0  # m/s; slower fixes hardly show the mounting
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """What has come, oldest first. Fixes as in a session; n placed at `origin`."""
+    """Received data, oldest first. Fixes as in a session; n at `origin`."""
 
     imu: ImuSamples
     fixes: GnssFixes
@@ -42,9 +42,9 @@ class Window:
 
 
 def identify(window: Window) -> LagStart | str:
-    """Return where a stream goes on, what is known there and how noisy all is; or why it cannot.
+    """Return the start of a stream, with its prior and noise; or the reason why there is none.
 
-    Samples count as they come: the stream does not wait for a force that is late.
+    A latency of the accelerometer is not corrected in the stream.
     """
     session, kept = Session("live", window.fixes, window.origin, window.imu), list[Solved]()
     options = replace(GraphOptions(), rate=OUTPUT_RATE, in_step=False)
@@ -79,7 +79,7 @@ def identify(window: Window) -> LagStart | str:
 
 
 def find_line(t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None) -> Line | None:
-    """Return the start line of the laps driven, None without a loop. t (N,) s; position_n, velocity_n (N, 3)."""
+    """Return the start line of the laps, None without a loop. t (N,) s; position_n, velocity_n (N, 3)."""
     path = PlanPath(t, position_n[:, :2], velocity_n[:, :2], position_n[:, 2])
     try:
         circuit = find_circuit(path, given, None, SHORTEST_LAP, np.zeros(len(t), dtype=np.bool_))
@@ -89,7 +89,7 @@ def find_line(t: Array, position_n: Array, velocity_n: Array, given: GivenLines 
 
 
 class Job(Protocol[T_co]):
-    """Work that was asked for; text where it failed."""
+    """A requested computation; its result is text where it failed."""
 
     def done(self) -> bool:
         """Whether there is a result."""
@@ -102,12 +102,12 @@ class Job(Protocol[T_co]):
 
 @dataclass(frozen=True, eq=False)
 class Done(Generic[T_co]):
-    """Work that is done."""
+    """A finished computation."""
 
     value: T_co
 
     def done(self) -> bool:
-        """It is."""
+        """Always true."""
         return True
 
     def result(self) -> T_co:
@@ -116,7 +116,7 @@ class Done(Generic[T_co]):
 
 
 class Foreground:
-    """A Worker that does it at once: for tests and for playing a file as fast as it goes."""
+    """A Worker that computes immediately: for tests and for playing a file at full speed."""
 
     def identify(self, window: Window) -> Job[LagStart | str]:
         """Run :func:`identify`."""

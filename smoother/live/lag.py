@@ -1,12 +1,11 @@
-"""The smoother of the last seconds: the graph of the batch smoother in a window that moves along.
+"""Fixed-lag smoother: the graph of the batch smoother in a moving window.
 
-With each fix the keyframes that samples have reached since are added, and one Gauss-Newton step is taken. What is older
-than the lag is eliminated: what it says of the first keyframe that stays and of the constants is that one's prior from
-then on. Constants stay in the window, so that what the stream says about them adds up. With wheels they are held where
-the identification has found them, but for those that wheels decide, and their errors count in the covariances: as in
-the batch smoother.
+With each fix, keyframes are added up to the newest sample, and one Gauss-Newton step is taken. Keyframes older than the
+lag are marginalised into a prior of the first remaining keyframe and the constants. Constants stay in the window, so
+that their information accumulates. With the `wheels` factor they are held at the values of the identification, except
+those that the factor determines, and their covariance is added, as in the batch smoother.
 
-Between the newest keyframe and now the inertial samples carry the state on, by one more IMU factor.
+From the newest keyframe to now one more IMU factor predicts the state.
 """
 
 from collections.abc import Sequence
@@ -31,18 +30,18 @@ from smoother.estimate.output.uncertainty import antenna_covariance
 from smoother.estimate.solvers.batch import Step, step
 from smoother.estimate.solvers.covariance import Covariances
 from smoother.estimate.solvers.identify import FREE
-from smoother.live.lag_graph import Marginal, WindowGraph, carried_on, joined_states, predicted
+from smoother.live.lag_graph import Marginal, WindowGraph, extrapolated, joined_states, predicted
 from smoother.samples import ImuSamples
 
 BIN = 0.04  # s, of the inertial samples between keyframes
 SHORTEST = 0.01  # s from the newest keyframe to now
-SAMPLES_KEPT = 2.0  # s before the newest keyframe: these show the rate of the samples
+SAMPLES_KEPT = 2.0  # s before the newest keyframe, from which the rate of the samples is computed
 FIXES_KEPT = 1.0  # s before the window; at least the newest fix is kept
 
 
 @dataclass(frozen=True)
 class LagOptions:
-    """lag s: what is older is eliminated. context s: keyframes before that, which the motion is low-passed with.
+    """lag s: what is older is eliminated. context s: earlier keyframes, used by the low-pass of the motion.
     longest_step s without a fix, after which keyframes are added.
     """
 
@@ -53,11 +52,11 @@ class LagOptions:
 
 @dataclass(frozen=True, eq=False)
 class LagStart:
-    """Where a stream goes on: keyframes `before` its window, what they say of its first one and of the constants, and
+    """Start of a stream: keyframes `before` its window, their marginal on its first keyframe and the constants, and
     the noise and the priors of their graph. held (C, C): covariance of the constants where these are held, else None.
 
-    R_bs (3, 3), with mounting_sigma (3,) rad about the axes of b. unseen_offset (3,) m^2: variance of what the data
-    cannot tell of the offset, as in the batch smoother: in the sigmas of positions, in no factor.
+    R_bs (3, 3), with mounting_sigma (3,) rad about the axes of b. unseen_offset (3,) m^2: variance of the
+    unobservable part of the offset, as in the batch smoother: in the sigmas of positions, in no factor.
     """
 
     before: State
@@ -79,7 +78,7 @@ class LagStart:
 class LagState:
     """The newest state. t s; R_nb (3, 3) of the kart; position_n, velocity_n (3,) of the antenna; sigmas:
     attitude_sigma (3,) rad about the axes of b, velocity_sigma, position_sigma (3,) m/s, m; delay s since the newest
-    fix was true. unseen_offset (3,) m^2 is the part of the positions' variance that no data can take away.
+    fix was true. unseen_offset (3,) m^2 is the unobservable part of the variance of positions.
     """
 
     t: float
@@ -94,7 +93,7 @@ class LagState:
 
 
 class FixedLag:
-    """The window. Samples and fixes go in, in the order of their times; `state` is the newest estimate."""
+    """The window. Samples and fixes are added in the order of their times; `state` is the newest estimate."""
 
     def __init__(self, start: LagStart, options: LagOptions | None = None) -> None:
         self._start, self._options = start, options or LagOptions()
@@ -102,12 +101,12 @@ class FixedLag:
         self._interval, self._keyframes = start.before.interval, 0  # since the start
         self._preintegrated: list[gtsam.PreintegratedCombinedMeasurements] = []
         self._imu: list[ImuSamples] = []
-        self._newest = self._solved = start.t  # newest sample; stamp of the newest fix that is in the window's solution
+        self._newest = self._solved = start.t  # newest sample; stamp of the newest fix in the solution
         nothing, one = np.full((1, 3), np.nan), np.ones(1)
-        # a fix of nothing stands for those to come
+        # an empty fix as a placeholder
         self._fixes = Measurements(self._state.t, nothing, nothing, one, one, np.empty(0, np.int64))
         self._taken: Step | None = None
-        self._known: Covariances | None = None  # after that step, once somebody asked for them
+        self._known: Covariances | None = None  # after that step, computed on demand
         self._now: LagState | None = None  # likewise
         self.fixes_used = self.fixes_late = 0
 
@@ -127,13 +126,13 @@ class FixedLag:
         return self._state.constant("position_latency"), self._state.constant("velocity_latency")
 
     def add_imu(self, imu: ImuSamples) -> None:
-        """Take in samples; where fixes fail for long, keyframes without any are made."""
+        """Add samples; in long outages, keyframes without fixes are added."""
         self._imu.append(imu)
         self._newest = float(imu.t[-1])
         self._advance()
 
     def add_fix(self, t: float, position_n: Array, velocity_n: Array) -> None:
-        """Take in a fix stamped t s: position_n, velocity_n (3,), NaN where unknown."""
+        """Add a fix stamped t s: position_n, velocity_n (3,), NaN where unknown."""
         times, first = t - np.array(self.latencies), self._state.t[0]
         is_ahead = np.max(times) > self._newest + MAX_LATENCY  # no latency explains that
         if is_ahead or t <= self._fixes.t[-1] or np.all(times < first):
@@ -144,7 +143,7 @@ class FixedLag:
         self._fixes = replace(
             fixes,
             t=np.append(fixes.t, t),
-            # what was true before the window is in its prior
+            # earlier fixes are in the prior
             position_n=np.vstack([fixes.position_n, position_n if times[0] >= first else np.full(3, np.nan)]),
             velocity_n=np.vstack([fixes.velocity_n, velocity_n if times[1] >= first else np.full(3, np.nan)]),
             position_scale=np.append(fixes.position_scale, 1.0),
@@ -153,7 +152,7 @@ class FixedLag:
         self._advance()
 
     def state(self) -> LagState | None:
-        """Return the newest state, carried on by inertial samples to the last of them; None before the first fix."""
+        """Return the newest state, predicted to the last sample; None before the first fix."""
         if self._now is None and self._taken is not None:
             if self._known is None:
                 chain, held = self._taken.chain(), self._start.held
@@ -165,7 +164,7 @@ class FixedLag:
 
     def _state_now(self, known: Covariances) -> LagState:
         last = self._state.part(slice(-1, None))
-        two, known = carried_on(last, known, self._preintegrated_since(), self._newest)
+        two, known = extrapolated(last, known, self._preintegrated_since(), self._newest)
         R_ns, R_bs, unseen = two.R_ns[-1], self._start.R_bs, self._start.unseen_offset
         arm_n = (arm_axes(Between.at(two, two.t)) @ two.constants["lever_arm"])[-1]
         rate_n, of_rate = rate_without_noise(joined(self._imu), two, self._start.noise.inertial)
@@ -183,11 +182,11 @@ class FixedLag:
         )
 
     def _are_reached(self) -> BoolArray:
-        """Mask of the fixes that are between keyframes; later ones wait for the samples around them."""
+        """Mask of the fixes between keyframes; later ones wait for samples."""
         return np.asarray(self._fixes.t - min(self.latencies) <= self.t)
 
     def _advance(self) -> None:
-        """Add keyframes and solve, once samples have reached one and a new fix before it, or none came for long."""
+        """Add keyframes and solve, after samples reached a keyframe with a new fix before it, or after longest_step."""
         self._now = None
         steps = int((self._newest - SHORTEST - self.t) / self._interval)
         end = self.t + steps * self._interval
@@ -201,7 +200,7 @@ class FixedLag:
         """Predict keyframes from the newest one on."""
         t: Array = self._start.t + self._interval * np.arange(self._keyframes, self._keyframes + steps + 1.0)
         biases, bins = (self._state.accel_bias_s[-1], self._state.gyro_bias_s[-1]), max(1, round(self._interval / BIN))
-        # how much the kart usually shakes is not known here: noise is the usual
+        # the vibration of the session is unknown here: average noise
         binned = replace(bin_imu(joined(self._imu), t, bins, *biases), rough=None)
         offset = float(np.exp(-self._interval / self._start.noise.offset_tau))
         for k, measured in enumerate(preintegrate(binned, self._start.noise.inertial, *biases), 1):
@@ -211,7 +210,7 @@ class FixedLag:
         self._imu = [part for part in self._imu if part.t[-1] > self.t - SAMPLES_KEPT]
 
     def _preintegrated_since(self) -> gtsam.PreintegratedCombinedMeasurements:
-        """Samples since the newest keyframe, one by one: they are few."""
+        """The preintegrated samples since the newest keyframe."""
         imu, noise = joined([part for part in self._imu if part.t[-1] > self.t]), self._start.noise.inertial
         bias = gtsam.imuBias.ConstantBias(self._state.accel_bias_s[-1], self._state.gyro_bias_s[-1])
         parameters = preintegration_parameters(noise.accel, noise.gyro, noise)
@@ -223,7 +222,7 @@ class FixedLag:
         return measured
 
     def _solve(self) -> None:
-        """Take a step, and let go of what is older than the lag."""
+        """Take a step, and marginalise keyframes older than the lag."""
         intervals, self._past = np.arange(len(self._preintegrated)), self._past.moved_to(self._state.part(slice(0, 1)))
         graph = WindowGraph(
             imu_factors(self._preintegrated, intervals),
@@ -242,10 +241,10 @@ class FixedLag:
         self._state, self._taken, self._known = taken.after, taken, None
         leave = len(intervals) - round(self._options.lag / self._interval)
         if leave > 0:
-            self._let_go(taken, leave)
+            self._marginalise(taken, leave)
 
-    def _let_go(self, taken: Step, leave: int) -> None:
-        """Eliminate the first keyframes of the window and what was measured there."""
+    def _marginalise(self, taken: Step, leave: int) -> None:
+        """Marginalise the first keyframes of the window and their measurements."""
         self._past = Marginal.of(taken, self._past.factors(), leave)
         fixes, at = self._fixes, taken.state
         by_position, by_velocity = (

@@ -1,4 +1,4 @@
-"""The graph of a window that moves along: what has left it, what that says of it, and one keyframe more."""
+"""The graph of a moving window: marginalised keyframes, their prior, and prediction of one keyframe."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -33,13 +33,13 @@ from smoother.estimate.solvers.batch import Step
 from smoother.estimate.solvers.covariance import Covariances
 from smoother.frames import wrap_angle
 
-_SUMS = ("velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")  # what a step adds to
+_SUMS = ("velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")  # variables with additive steps
 _MOTION = OFFSET.start  # columns of a keyframe that an IMU factor has
 
 
 @dataclass(frozen=True, eq=False)
 class WindowGraph(Graph):
-    """The graph of the keyframes in a window. before: those that have left it, which the motion is low-passed with."""
+    """The graph of the keyframes in a window. before: keyframes that left it, used by the low-pass of the motion."""
 
     before: State = field(kw_only=True)
 
@@ -53,9 +53,9 @@ class WindowGraph(Graph):
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """What eliminated keyframes say of the first one that stays, and of the constants `names`.
+    """The marginal of eliminated keyframes on the first remaining one and the constants `names`.
 
-    A (r, 18 + c + 1): Jacobian by both and the right side, whitened, of how far they move from `at`, that keyframe.
+    A (r, 18 + c + 1): whitened Jacobian by both and right side, of the difference from `at`, that keyframe.
     """
 
     A: Array
@@ -78,9 +78,9 @@ class Marginal:
     def moved_to(self, now: State) -> "Marginal":
         """The same where the keyframe is `now`, by its axes there: rotation and position move each by itself.
 
-        GTSAM keeps the axes of where it was, and its position moves along a screw. Turned by a degree against those of
-        the measurements they seem to know where the kart is, of which positions with a slow error say little: on
-        Adria's recording the path was 2 m off after minutes. Source: Huang, Mourikis & Roumeliotis 2010.
+        GTSAM keeps the axes of the linearisation point, and retracts the position along a screw. Axes rotated by a
+        degree against those of the measurements give spurious information on the position: on Adria's recording the
+        path was 2 m off after minutes. Source: Huang, Mourikis & Roumeliotis 2010.
         """
         then, turn = self.at, self.at.R_ns[0].T @ now.R_ns[0]
         moves = [so3.log(turn), then.R_ns[0].T @ (now.position_n[0] - then.position_n[0])]
@@ -103,7 +103,7 @@ class Marginal:
 
 
 def rolling(state: State, noise: Noise) -> BoolArray | None:
-    """Keyframes (K,) of a state at which wheels roll; None where they say nothing, by the noise of a whole session."""
+    """Keyframes (K,) of a state at which wheels roll; None where this is unknown, by the noise of a whole session."""
     if noise.slip is None:
         return None
     slip = slip_of(state, LowPassedMotion(state, noise.inertial.accel, noise.inertial.gyro))
@@ -118,7 +118,7 @@ def joined_states(one: State, two: State) -> State:
 
 
 def predicted(state: State, measured: gtsam.PreintegratedCombinedMeasurements, t: float, offset: float) -> State:
-    """The state with one keyframe more, at t s. offset: share of the slow error of the fixes that is left by then."""
+    """The state with one keyframe more, at t s. offset: share of the slow error of the fixes that remains then."""
     bias = gtsam.imuBias.ConstantBias(state.accel_bias_s[-1], state.gyro_bias_s[-1])
     pose = gtsam.Pose3(gtsam.Rot3(state.R_ns[-1]), state.position_n[-1])
     then = measured.predict(gtsam.NavState(pose, state.velocity_n[-1]), bias)
@@ -133,7 +133,7 @@ def predicted(state: State, measured: gtsam.PreintegratedCombinedMeasurements, t
     return joined_states(state, newest)
 
 
-def carried_on(
+def extrapolated(
     last: State, known: Covariances, measured: gtsam.PreintegratedCombinedMeasurements, t: float
 ) -> tuple[State, Covariances]:
     """A keyframe and the state at t s after it, with their covariances: by the IMU factor between both.

@@ -1,7 +1,7 @@
-"""Laps while driving: the path since the last few laps, the line across it, and the time since it was crossed.
+"""Lap times while driving: the path of the last laps, the start line, and the time since its crossing.
 
-Until a smoother runs the path is that of the fixes as they come. One that jumps leaps over the line and back again, and
-would be a lap: it waits until those after it have stayed with it, as after an outage, or have come back without it.
+Until a smoother runs the path is that of the fixes. A fix that jumps across the line and back would be a lap, so it
+is used only after later fixes confirmed it, as after an outage, and dropped otherwise.
 """
 
 from dataclasses import dataclass, replace
@@ -15,17 +15,17 @@ from smoother.laps.timing import BESIDE, gate_crossings
 
 KEPT = 600.0  # s of path, enough for three laps of a long circuit
 STEP = 0.1  # s between rows
-ASTRAY = 5.0  # m beside where its velocity leads to, from which on a fix has jumped; they scatter by less
-STAYED = 3.0  # s after which fixes that have left the path are the path; reflections pull for a second or two
+ASTRAY = 5.0  # m from its prediction by velocity, beyond which a fix has jumped
+STAYED = 3.0  # s after which jumped fixes are confirmed; reflections last a second or two
 
 Row = tuple[float, Array, Array]  # time s, position m and velocity m/s (3,) in n
 
 
 @dataclass(frozen=True)
 class LapTimes:
-    """Times in s, NaN where there is none: since the line, of the last lap, of the best. lap: how many were begun.
+    """Times in s, NaN where there is none: since the line, of the last lap, of the best. lap: number of started laps.
 
-    at: the moment of `running`, on the clock of the rows.
+    at: time of `running`, on the clock of the rows.
     """
 
     lap: int = 0
@@ -36,18 +36,18 @@ class LapTimes:
     at: float = 0.0
 
     def running_on(self, now: float) -> "LapTimes":
-        """Return the same at `now` s, a later moment; an earlier one is of another run of the logger."""
+        """Return the same at `now` s, a later time; an earlier one belongs to another run of the logger."""
         return replace(self, running=self.running + now - self.at, at=now) if now > self.at else self
 
 
 class LapClock:
-    """Rows of the path go in; where the start line is, is found elsewhere and given."""
+    """Lap times of the rows that are added; the start line is set from outside."""
 
     def __init__(self) -> None:
         self._rows: list[Row] = []
         self._line: Line | None = None
         self._crossed: list[float] = []
-        self._astray: list[Row] = []  # fixes that have left the path, each led to by the last
+        self._astray: list[Row] = []  # unconfirmed fixes, each consistent with the previous one
         self._lap, self._best = 0, float("nan")
 
     @property
@@ -56,7 +56,7 @@ class LapClock:
         return self._line is not None
 
     def add_fix(self, t: float, position_n: Array, velocity_n: Array) -> None:
-        """Take in a fix as it came, as :meth:`add` does a row; one that jumped counts only if others stay with it."""
+        """Add a fix, as :meth:`add` does a row; one that jumped is used only if later ones confirm it."""
         fix = t, position_n, velocity_n
         if self._rows and not _leads_to(self._rows[-1], fix):
             if self._astray and not _leads_to(self._astray[-1], fix):
@@ -68,7 +68,7 @@ class LapClock:
         self.add(*fix)
 
     def add(self, t: float, position_n: Array, velocity_n: Array) -> None:
-        """Take in a row: t s, position_n, velocity_n (3,) of the antenna."""
+        """Add a row: t s, position_n, velocity_n (3,) of the antenna."""
         if self._rows and t - self._rows[-1][0] < STEP:
             return
         self._rows.append((t, position_n, velocity_n))
@@ -88,7 +88,7 @@ class LapClock:
         return self._rows[-1][0] - self._rows[0][0] if self._rows else 0.0
 
     def set_line(self, line: Line) -> None:
-        """Take a start line; what was driven before it was known counts."""
+        """Set the start line; the path before is timed too."""
         self._line, self._crossed, self._lap, self._best = line, [], 0, float("nan")
         if len(self._rows) > 1:
             self._cross(self._path(len(self._rows)))
@@ -111,14 +111,15 @@ class LapClock:
             if self._crossed:
                 lap = at - self._crossed[-1]
                 if lap < 5.0:
-                    continue  # rolled back and forth over the line
+                    continue  # the kart moved back and forth over the line
                 self._best = float(np.fmin(self._best, lap))
             self._crossed = [*self._crossed[-1:], at]
             self._lap += 1
 
 
 def _leads_to(one: Row, other: Row) -> bool:
-    """Whether a fix, t s with position and velocity (3,), is where an earlier one was heading, or that is long ago."""
+    """Whether a fix, t s with position and velocity (3,), agrees with the prediction from an earlier one, or that is
+    long ago."""
     (t, position_n, velocity_n), (later, there_n, then_n) = one, other
     step = later - t
     off = there_n - position_n - 0.5 * step * (velocity_n + then_n)

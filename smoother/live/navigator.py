@@ -1,8 +1,7 @@
-"""The slow half of a stream: mounting and delays, the smoother, laps. Samples and fixes in, one value out.
+"""The slow half of a stream: identification, smoother, laps. Samples and fixes in, a Navigation out.
 
-It knows no bytes and no screen, and runs in a process of its own (beside.py), so that nothing it does delays a frame.
-Everything held is bounded: the window of samples that mounting and delays are identified on, the smoother's lag, the
-path of the last laps.
+It runs in a process of its own (remote_navigator.py), so that it delays no frame. All buffers are bounded: the window
+of samples for the identification, the lag of the smoother, the path of the last laps.
 """
 
 from collections import deque
@@ -24,13 +23,13 @@ from smoother.prepare import choose_origin
 from smoother.samples import GnssFixes, ImuSamples
 
 WINDOW = 130.0  # s of samples and fixes for the identification
-IDENTIFY_AFTER = (12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)  # s of driving; then mounting and delays are known
+IDENTIFY_AFTER = (12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)  # s of driving
 RETRY_AFTER = 10.0  # s of driving after an identification or a smoother that failed
-PIECE = 0.1  # s of samples that are taken in together
-LONGEST_GAP = 15.0  # s without samples, over which nothing of a state is left worth carrying on
+PIECE = 0.1  # s of samples that are processed together
+LONGEST_GAP = 15.0  # s without samples, after which the smoother starts anew
 LINE_EVERY = 10.0  # s of path between searches for the lap
 
-# what GTSAM's exceptions are in Python, and those of systems that determine too little
+# exceptions of GTSAM in Python, and of indeterminate systems
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError)
 
 NOTHING_YET = "waiting for the logger"
@@ -40,7 +39,7 @@ Item = ImuSamples | GnssFixes
 
 
 class Worker(Protocol):
-    """Where work of seconds is done; see identify.py."""
+    """Runs computations of seconds; see identify.py."""
 
     def identify(self, window: Window) -> Job[LagStart | str]:
         """Find where a stream begins."""
@@ -53,11 +52,10 @@ class Worker(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Navigation:
-    """What is known now. arrival s on the computer's clock, of the newest bytes that are in it.
+    """The newest results. arrival s on the computer's clock, of the newest bytes that are in it.
 
     lag: the smoother's state, None before; R_bs (3, 3) and latencies (position, velocity) s that it runs with; laps;
-    stage in words; is_busy: something is still being worked out of what has come; left_out s of the stream that came
-    too fast.
+    stage as text; is_busy: received data is still being processed; left_out s of the stream that was dropped.
     """
 
     arrival: float = 0.0
@@ -71,7 +69,7 @@ class Navigation:
 
 
 class Navigator:
-    """Takes the items of one run of the logger in order; `work` does what takes time."""
+    """Processes the items of one run of the logger in order; `work` does slow computations."""
 
     def __init__(
         self,
@@ -80,7 +78,7 @@ class Navigator:
         lag: LagOptions | None = None,
         flaw: str = "",
     ) -> None:
-        """flaw: why the one before this one ended."""
+        """flaw: why the previous navigator ended."""
         self._worker, self._tracks, self._options = worker, tracks, lag
         self._imu: deque[ImuSamples] = deque()
         self._fixes: deque[GnssFixes] = deque()
@@ -99,7 +97,7 @@ class Navigator:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is still being worked out of what has come."""
+        """Whether received data is still being processed."""
         return self._identification is not None or self._line is not None or self._should_identify()
 
     @property
@@ -108,7 +106,7 @@ class Navigator:
         return self._start
 
     def take(self, items: Sequence[Item], arrival: float) -> None:
-        """Take in samples and fixes (a row each). arrival s of the newest bytes."""
+        """Process samples and fixes (a row each). arrival s of the newest bytes."""
         for item in in_order(items):
             if isinstance(item, GnssFixes):
                 self._take_fix(item)
@@ -119,12 +117,12 @@ class Navigator:
         self._arrival = max(self._arrival, arrival)
 
     def work(self) -> None:
-        """Take over what the worker has done, and give it what is due."""
+        """Use finished computations of the worker, and start due ones."""
         self._identify()
         self._find_line()
 
     def look(self) -> Navigation:
-        """Return what is known."""
+        """Return the newest navigation."""
         lag = self._lag_state()
         now = max((float(held[-1].t[-1]) for held in (self._imu, self._fixes) if held), default=0.0)
         return Navigation(
@@ -138,7 +136,7 @@ class Navigator:
         )
 
     def _forget(self) -> None:
-        """Let go of what is older than the window; what is being identified on is still needed to catch up."""
+        """Drop data older than the window, except what a running identification needs to catch up."""
         now = float(self._imu[-1].t[-1]) if self._imu else 0.0
         oldest = now - WINDOW if self._identification is None else min(now - WINDOW, self._identified_from)
         for held in (self._imu, self._fixes):
@@ -173,7 +171,7 @@ class Navigator:
     def _identify(self) -> None:
         if self._identification is not None and self._identification.done():
             found, self._identification = self._identification.result(), None
-            self._begin_again(found)
+            self._restart_smoother(found)
         if self._should_identify() and self._origin is not None:
             window = _since_gap(Window(joined(self._imu), _all_fixes(self._fixes), self._origin))
             later = [after for after in IDENTIFY_AFTER if after > self._driven + 1.0]
@@ -181,7 +179,7 @@ class Navigator:
             self._identification, self._identified_from = self._worker.identify(window), float(window.imu.t[0])
 
     def _should_identify(self) -> bool:
-        """Whether enough was driven since the last time, and that is done with."""
+        """Whether enough was driven since the last identification, and that is finished."""
         return (
             self._identification is None
             and self._driven >= self._identify_at
@@ -189,15 +187,15 @@ class Navigator:
             and self._origin is not None
         )
 
-    def _begin_again(self, start: LagStart | str) -> None:
-        """Go on from what was identified, with what has come since then; the old smoother stays if that fails."""
+    def _restart_smoother(self, start: LagStart | str) -> None:
+        """Start from an identification, with the data since then; keep the old smoother if that fails."""
         flaw = start if isinstance(start, str) else self._start_from(start)
         if flaw:
             self._identify_at = min(self._identify_at, self._driven + RETRY_AFTER)
         self._flaw = flaw
 
     def _start_from(self, start: LagStart) -> str:
-        """Put a new smoother in the other's place once it knows all; return what went wrong."""
+        """Replace the smoother after the new one has processed all data; return the failure."""
         assert self._origin is not None
         lag = FixedLag(start, self._options)
         held: list[Item] = [*self._imu, *self._fixes]
@@ -243,8 +241,8 @@ class Navigator:
         return DRIVE if self._fixes else "attitude only, no fix yet"
 
 
-class Aboard:
-    """A navigator in this process, done with each batch before the next: for tests and measurements."""
+class LocalNavigator:
+    """A navigator in this process, synchronous: for tests and measurements."""
 
     is_behind = False
 
@@ -258,11 +256,11 @@ class Aboard:
         return self._navigator.start
 
     def restart(self) -> None:
-        """Forget everything: the logger was switched off and on."""
+        """Start anew: the logger was switched off and on."""
         self._navigator = self._make()
 
-    def give(self, items: list[Item], arrival: float) -> Navigation:
-        """Take in items; return what is known then."""
+    def exchange(self, items: list[Item], arrival: float) -> Navigation:
+        """Process items; return the navigation."""
         self._navigator.take(items, arrival)
         self._navigator.work()
         navigation = self._navigator.look()
@@ -270,9 +268,9 @@ class Aboard:
 
 
 def in_order(items: Sequence[Item]) -> list[Item]:
-    """Return samples in pieces of at most :data:`PIECE`, and fixes among them where they belong.
+    """Return samples in pieces of at most :data:`PIECE`, and fixes among them in order of time.
 
-    A file that is played as fast as it goes comes a minute at a time, first all samples, then all fixes.
+    A file at full speed arrives a minute at a time, first all samples, then all fixes.
     """
     pieces: list[Item] = []
     for item in items:
@@ -292,10 +290,10 @@ def _part(imu: ImuSamples, part: np.ndarray) -> ImuSamples:
 
 
 def _feed(lag: FixedLag, item: Item, origin: Origin) -> str:
-    """Give a smoother its next item; return what went wrong, nothing if all is well."""
+    """Pass the next item to a smoother; return the failure, empty without one."""
     gap = float(item.t[0]) - lag.newest
     if isinstance(item, ImuSamples) and gap > LONGEST_GAP:
-        return f"nothing came for {gap:.0f} s, the smoother begins again"
+        return f"no data for {gap:.0f} s, the smoother starts again"
     try:
         if isinstance(item, ImuSamples):
             lag.add_imu(item)
@@ -307,7 +305,7 @@ def _feed(lag: FixedLag, item: Item, origin: Origin) -> str:
 
 
 def _since_gap(window: Window) -> Window:
-    """What came after the last gap that a smoother is given up over: it would go on from there."""
+    """The data after the last gap of LONGEST_GAP."""
     t = window.imu.t
     gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP)
     after = window.fixes.t > t[gaps[-1]] if len(gaps) else np.zeros(1)
@@ -317,7 +315,7 @@ def _since_gap(window: Window) -> Window:
 
 
 def speed_of(fix: GnssFixes) -> float:
-    """Horizontal speed of the last row, m/s; NaN where the receiver says none."""
+    """Horizontal speed of the last row, m/s; NaN where unknown."""
     return float(np.hypot(fix.velocity_n[-1, 0], fix.velocity_n[-1, 1]))
 
 

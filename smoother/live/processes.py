@@ -1,6 +1,6 @@
-"""Processes that do slow work beside the one that shows: started once, asked over a pipe, started again if they die.
+"""Worker processes for slow computations: started once, requests over a pipe, restarted if they end.
 
-A process here ends when its pipe closes, so none is left behind, however the one that started it ends.
+A worker ends when its pipe closes, also where the parent crashed.
 """
 
 import contextlib
@@ -17,18 +17,18 @@ from smoother.live.identify import Window, find_line, identify
 from smoother.live.lag import LagStart
 
 T = TypeVar("T")
-ENDS_WITHIN = 1.0  # s, before it is made to end
+ENDS_WITHIN = 1.0  # s before it is terminated
 
 
 class Child:
     """A process that runs `serve(connection, *args)`, and this side of its pipe."""
 
     def __init__(self, serve: Callable[..., None], *args: object, has_children: bool = False) -> None:
-        # spawned, not forked: threads run here, and a copy of their locks would hang
+        # spawned, not forked: copies of locks of running threads would hang
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self._process = context.Process(target=serve, args=(theirs, *args), daemon=not has_children)
-        with _interrupts_ignored():  # and so they are there: Ctrl-C in a terminal goes to every process
+        with _interrupts_ignored():  # inherited by the child: Ctrl-C in a terminal goes to every process
             self._process.start()
         theirs.close()
 
@@ -39,13 +39,13 @@ class Child:
 
     @property
     def how_it_ended(self) -> str:
-        """In words, once it has ended."""
+        """The way it ended, as text."""
         self._process.join(ENDS_WITHIN)
         code = self._process.exitcode
         return f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
 
     def close(self) -> None:
-        """Let it end, or make it."""
+        """Let it end, or terminate it."""
         self.connection.close()
         self._process.join(ENDS_WITHIN if not self._process.daemon else 0.0)
         if self._process.is_alive():
@@ -57,7 +57,7 @@ class Child:
 def _interrupts_ignored() -> Iterator[None]:
     try:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread, which alone may say so
+    except ValueError:  # signals can only be set in the main thread
         yield
         return
     try:
@@ -67,7 +67,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 
 class RemoteJob(Generic[T]):
-    """Work that was asked for. What went wrong with it is its result, as text."""
+    """A requested computation; its result is text where it failed."""
 
     def __init__(self, look: Callable[[], None]) -> None:
         self._look = look
@@ -84,16 +84,16 @@ class RemoteJob(Generic[T]):
         return self._answer[0]
 
     def answer(self, value: T | str) -> None:
-        """Say the result."""
+        """Set the result."""
         self._answer.append(value)
 
 
 class Background:
-    """One process for work of seconds: a Worker. A job that is asked for while another runs waits for its turn."""
+    """A Worker in one process; jobs are queued."""
 
     def __init__(self) -> None:
         self._child: Child | None = Child(serve_jobs)
-        self._jobs: deque[tuple[RemoteJob[Any], tuple[Any, ...]]] = deque()  # the first one is being done
+        self._jobs: deque[tuple[RemoteJob[Any], tuple[Any, ...]]] = deque()  # the first one runs
         self._is_sent = False
 
     def __enter__(self) -> "Background":
@@ -119,14 +119,14 @@ class Background:
         return self.ask(find_line, t, position_n, velocity_n, given)
 
     def ask(self, function: Callable[..., Any], *args: object) -> RemoteJob[Any]:
-        """Have a function of a module called there."""
+        """Request the call of a function of a module."""
         job: RemoteJob[Any] = RemoteJob(self._look)
         self._jobs.append((job, (function, *args)))
         self._look()
         return job
 
     def _look(self) -> None:
-        """Take an answer that came; send the next question."""
+        """Receive an answer; send the next request."""
         try:
             if self._is_sent and self._child is not None and self._child.connection.poll():
                 answer = self._child.connection.recv()
@@ -146,17 +146,17 @@ class Background:
 
 def serve_jobs(connection: Connection) -> None:
     """Be the process of :class:`Background`."""
-    with contextlib.suppress(EOFError, OSError):  # nobody asks any more
+    with contextlib.suppress(EOFError, OSError):  # the parent closed the pipe
         while True:
             function, *args = connection.recv()
             try:
                 answer = function(*args)
-            except Exception as error:  # said where it is shown; the next question may do better
+            except Exception as error:  # reported as the result
                 answer = describe(error)
             connection.send(answer)
 
 
 def describe(error: BaseException) -> str:
-    """One line that says what went wrong."""
+    """An exception as one line."""
     lines = str(error).splitlines()
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__

@@ -1,4 +1,4 @@
-"""One thread that reads a source, comes back after a lost cable, and never holds more than it may."""
+"""A thread that reads a source, reconnects after a lost cable, and has bounded buffers."""
 
 import threading
 import time
@@ -14,7 +14,7 @@ RETRY_EVERY = 0.25  # s
 
 @dataclass(frozen=True)
 class Chunk:
-    """Bytes as they came; arrival s on the monotonic clock. after_break: the cable was pulled before them."""
+    """Received bytes; arrival s on the monotonic clock. after_break: the cable was pulled before them."""
 
     arrival: float
     data: bytes
@@ -23,7 +23,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class LinkStatus:
-    """State of the connection: open now, at its end, how often lost, bytes thrown away because nobody took them."""
+    """State of the connection: open now, at its end, number of losses, bytes dropped because they were not taken."""
 
     is_open: bool = False
     is_over: bool = False
@@ -34,10 +34,11 @@ class LinkStatus:
 
 
 class Receiver:
-    """Reads in the background. `take` gives everything that has come."""
+    """Reads in the background. `take` returns everything received."""
 
     def __init__(self, source: Source, *, waits: bool = False) -> None:
-        """waits: let the source wait when nobody takes (a file) instead of throwing the oldest away (a line)."""
+        """waits: let the source wait while the buffer is full (a file) instead of dropping the oldest bytes (a
+        line)."""
         self._source, self.waits = source, waits
         self._chunks: deque[Chunk] = deque()
         self._waiting = 0
@@ -58,18 +59,18 @@ class Receiver:
 
     @property
     def status(self) -> LinkStatus:
-        """The connection now. Raises what ended the thread: a SmootherError of the source, or whatever was wrong."""
+        """The state of the connection. Raises the exception that ended the thread."""
         if self._failure is not None:
             raise self._failure
         return self._status
 
     @property
     def has_chunks(self) -> bool:
-        """Whether something has come that was not taken."""
+        """Whether there is received data that was not taken."""
         return bool(self._chunks)
 
     def take(self, timeout: float = 0.0) -> list[Chunk]:
-        """Return what has come since the last call, waiting up to `timeout` s for something."""
+        """Return the data since the last call, waiting up to `timeout` s for any."""
         if timeout > 0.0:
             self._arrived.wait(timeout)
         with self._lock:
@@ -82,7 +83,7 @@ class Receiver:
     def _run(self) -> None:
         try:
             self._follow()
-        except Exception as error:  # kept for who asks for the status: else nobody would know that nothing comes
+        except Exception as error:  # raised again by `status`
             self._failure = error
 
     def _follow(self) -> None:

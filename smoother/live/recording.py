@@ -1,7 +1,7 @@
-"""The stream written down as the logger's own card would hold it: blocks of a `.klg` file, as they come.
+"""Recording of the stream in the format of the logger's card: blocks of a `.klg` file.
 
-The file is a whole session at every moment: what has come is written at once, and the blocks of the last second are
-written again, in place, as they fill. So whatever ends the program, what had come is kept.
+The file is a complete session at every moment: data is written at once, and the blocks of the last second are written
+again, in place, as they fill. So nothing is lost however the program ends.
 """
 
 import contextlib
@@ -24,9 +24,9 @@ from smoother.session.log_format import BLOCK_BYTES, CAPACITY, CRC_AT, CRC_STRUC
 
 FILE_NAME = "LIVE{:04d}.KLG"
 REWRITTEN = 1.0  # s of records whose blocks are written again as they fill
-MOST_KEPT = 60.0  # s of records that wait for a disc to have room
-SYNC_EVERY = 1.0  # s; what is lost when the computer fails
-ENDS_WITHIN = 10.0  # s; a disc that takes nothing for so long will not
+MOST_KEPT = 60.0  # s of records that wait for room on a full disc
+SYNC_EVERY = 1.0  # s; at most this is lost when the computer fails
+ENDS_WITHIN = 10.0  # s, after which a hanging disc is given up
 MOST_WAITING = 4096  # lists of batches; minutes of a disc that hangs
 _SEQUENCE, _IMU_NUMBER = slice(8, 12), slice(20, 24)
 
@@ -42,7 +42,7 @@ class SessionWriter:
             raise UsageError(f"{directory}: cannot be made ({error.strerror or error})") from error
         self._directory, self._rng = directory, rng
         self._file: FileIO | None = None
-        self._filling: LogRecords | None = None  # those in the blocks that are written again
+        self._filling: LogRecords | None = None  # records in the blocks that are written again
         self._blocks = self._samples = 0  # before those blocks
         self._session = self._any_session()
         self._began_us = 0
@@ -50,8 +50,8 @@ class SessionWriter:
         self.bytes_written = 0
 
     def add(self, records: LogRecords, restarted: bool = False) -> None:
-        """Write records down. Raises OSError when the disk is full, and the next call tries again; ValueError for
-        records that the format cannot hold, which are left out.
+        """Write records. Raises OSError when the disk is full, and the next call tries again; ValueError for
+        records that the format cannot hold, which are dropped.
         """
         if restarted:
             self.close()
@@ -69,12 +69,12 @@ class SessionWriter:
             self._filling = None
 
     def sync(self) -> None:
-        """Have the computer put on the disc what it may still hold in memory. Raises OSError."""
+        """Flush the file to the disc. Raises OSError."""
         if self._file is not None:
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """End the file. Raises OSError if what is left of it cannot be written."""
+        """End the file. Raises OSError if its rest cannot be written."""
         file, self._file = self._file, None
         self._filling, self._blocks, self._samples, self._session = None, 0, 0, self._any_session()
         if file is not None:
@@ -93,7 +93,7 @@ class SessionWriter:
         return self._file
 
     def _laid_out(self, records: LogRecords) -> bytes:
-        """Blocks of records, numbered from those that stand."""
+        """Blocks of records, numbered after the final ones."""
         blocks = lay_out(records, self._session, CAPACITY, SETUP_EVERY)
         for i, block in enumerate(blocks):
             _stamp(block, self._session, self._blocks + i, self._samples)
@@ -109,7 +109,7 @@ def _write_all(file: FileIO, data: bytes, at: int) -> None:
 
 @dataclass(frozen=True)
 class RecordingStatus:
-    """What has been written down: file name, bytes of it, and what went wrong with the newest of them, if anything."""
+    """State of the recording: file name, written bytes, and the newest failure."""
 
     name: str = ""
     bytes_written: int = 0
@@ -131,7 +131,7 @@ class Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(queue.Full):  # of a disc that takes nothing; the thread ends with the program
+        with contextlib.suppress(queue.Full):  # of a hanging disc; the thread ends with the program
             self._batches.put(None, timeout=ENDS_WITHIN)
         self._thread.join(ENDS_WITHIN)
 
@@ -141,33 +141,33 @@ class Recorder:
         return self._writer.path
 
     def add(self, batches: Sequence[Batch]) -> None:
-        """Have batches written down, in their turn."""
+        """Queue batches for writing."""
         try:
             self._batches.put_nowait(batches)
         except queue.Full:
             self.status = replace(self.status, flaw="the disc has taken nothing for minutes, records were lost")
 
     def settle(self) -> None:
-        """Wait until all that was added is written, or failed to be."""
+        """Wait until all added batches were written or failed."""
         self._batches.join()
 
     def _run(self) -> None:
         while (batches := self._batches.get()) is not None:
             for batch in batches:
-                self._tell(self._write, batch)
+                self._attempt(self._write, batch)
             if time.monotonic() - self._synced_at > SYNC_EVERY:
-                self._tell(self._writer.sync)
+                self._attempt(self._writer.sync)
                 self._synced_at = time.monotonic()
             self._batches.task_done()
-        self._tell(self._writer.close)
+        self._attempt(self._writer.close)
 
     def _write(self, batch: Batch) -> None:
         self._writer.add(batch.records, batch.restarted)
         name = self._writer.path.name if self._writer.path else ""
         self.status = RecordingStatus(name, self._writer.bytes_written)
 
-    def _tell(self, what, *args) -> None:  # type: ignore[no-untyped-def]
-        """Do something; say what is wrong if it fails, and go on: the disc may have room again."""
+    def _attempt(self, what, *args) -> None:  # type: ignore[no-untyped-def]
+        """Call a function; store its failure and continue, since the disc may have room again."""
         try:
             what(*args)
         except OSError as error:
@@ -192,7 +192,7 @@ def _newest_us(records: LogRecords) -> int:
 
 
 def _joined(parts: list[LogRecords]) -> LogRecords:
-    """One set of records, in order. The settings are those of the last that has them; without any, as they usually are.
+    """One set of records, in order. The settings are those of the last that has them, else the default ones.
 
     Blocks without SETUP would be read with the wrong ranges, hence never none.
     """

@@ -1,4 +1,4 @@
-"""The loop: take what came, step, have it written down, show. Receiver and recorder have threads, this has its own."""
+"""The loop: receive, step, record, show. Receiver and recorder have threads of their own."""
 
 import time
 from collections.abc import Callable
@@ -10,11 +10,11 @@ from smoother.live.frame import Frame
 from smoother.live.receiver import Chunk, LinkStatus, Receiver
 from smoother.live.recording import Recorder
 
-LONGEST_WAIT = 0.02  # s; between looks at the receiver
+LONGEST_WAIT = 0.02  # s between polls of the receiver
 
 
 class View(Protocol):
-    """Something that shows frames."""
+    """Shows frames."""
 
     frames_a_second: float
 
@@ -25,7 +25,7 @@ class View(Protocol):
 
 @dataclass(frozen=True)
 class Drawn:
-    """One shown frame: delay s from the arrival of its newest bytes until it stood there, smoother_delay s likewise of
+    """One shown frame: delay s from the arrival of its newest bytes until it was drawn, smoother_delay s likewise of
     the newest bytes in the smoother's state (NaN without one); cost s of drawing it.
     """
 
@@ -42,15 +42,15 @@ def run(
     stop: Callable[[], bool] = lambda: False,
     watch: Callable[[Drawn], None] = lambda drawn: None,
 ) -> Snapshot:
-    """Run until the source ends, the view is closed or `stop` says so. Returns the last snapshot.
+    """Run until the source ends, the view is closed or `stop` returns True. Returns the last snapshot.
 
-    A frame that is late is left out, never queued: what is shown is always the newest. Raises what the source raises.
+    Late frames are dropped, never queued. Raises the exceptions of the source.
     """
     due = time.monotonic()
     snapshot = Snapshot()
     while not stop():
         link = receiver.status
-        chunks = _come(receiver, engine, max(0.0, min(LONGEST_WAIT, due - time.monotonic())))
+        chunks = _received(receiver, engine, max(0.0, min(LONGEST_WAIT, due - time.monotonic())))
         snapshot, batches = engine.step(chunks)
         if recorder is not None and batches:
             recorder.add(batches)
@@ -79,8 +79,8 @@ def _frame(snapshot: Snapshot, link: LinkStatus, recorder: Recorder | None, now:
     )
 
 
-def _come(receiver: Receiver, engine: Engine, wait: float) -> list[Chunk]:
-    """What has come, waiting up to `wait` s. From a file, which loses nothing, nothing while the smoother is behind."""
+def _received(receiver: Receiver, engine: Engine, wait: float) -> list[Chunk]:
+    """Received data, waiting up to `wait` s. A file waits while the smoother is behind."""
     if receiver.waits and engine.is_behind:
         time.sleep(wait)
         return []

@@ -1,4 +1,4 @@
-"""From records to samples in SI while they come in; fixes as soon as they are whole."""
+"""From records to samples in SI; fixes as soon as they are complete."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ MOST_PENDING = 64  # sentences; more than any receiver sends in a second
 
 @dataclass(frozen=True)
 class Reception:
-    """What the receiver last said: fix quality (0 none), satellites used (-1 unknown), hdop (NaN), t s of that."""
+    """Newest state of the receiver: fix quality (0 none), satellites used (-1 unknown), hdop (NaN), t s of that."""
 
     fix: int = 0
     satellites: int = -1
@@ -50,7 +50,7 @@ def inertial_samples(records: LogRecords, calibration: Calibration, after: float
 
 
 def field_samples(records: LogRecords, calibration: Calibration, after: float) -> tuple[MagSamples, Array] | None:
-    """Return the field later than `after` s, and as it was read, (K, 3) uT in axes s; None without any."""
+    """Return the field later than `after` s, and as read, (K, 3) uT in axes s; None without any."""
     t = seconds(records.mag_t)
     good = (records.mag_flags & MAG_OVERFLOW) == 0
     good &= t > np.maximum.accumulate(np.concatenate([[after], t[:-1]])) if t.size else good
@@ -61,7 +61,7 @@ def field_samples(records: LogRecords, calibration: Calibration, after: float) -
 
 
 class FixAssembler:
-    """Collects the sentences of one fix. A fix is given out when all kinds of the one before have come again."""
+    """Collects the sentences of one fix. A fix is complete when all kinds of sentences of the previous one arrived."""
 
     def __init__(self) -> None:
         self._pending: list[tuple[float, bytes]] = []
@@ -101,12 +101,12 @@ class FixAssembler:
             return []
         assert fixes.unix_s is not None
         if fixes.unix_s[-1] <= self._last_unix:
-            return []  # a sentence of the fix before, come late
+            return []  # a late sentence of the previous fix
         self._last_t, self._last_unix = float(fixes.t[-1]), float(np.nan_to_num(fixes.unix_s[-1], nan=-np.inf))
         return [fixes.select(np.array([len(fixes) - 1]))]
 
     def _listen(self, t: float, text: bytes) -> None:
-        """Satellites and quality from GGA, which says so without a fix too."""
+        """Satellites and quality from GGA, which has them also without a fix."""
         cells = text.split(b"*")[0].split(b",")
         if _kind(text) == b"GGA" and len(cells) > 8:
             quality, used = _integer(cells[6], 0), _integer(cells[7], -1)
@@ -135,7 +135,7 @@ def _time_of(text: bytes) -> bytes:
 
 
 class RateMeter:
-    """How many a second, over the last `span` s of the sensor's own clock."""
+    """Rate per second over the last `span` s of the sensor's clock."""
 
     def __init__(self, span: float = 2.0) -> None:
         self._span = span
@@ -148,7 +148,7 @@ class RateMeter:
             self._marks.pop(0)
 
     def rate(self, now: float) -> float:
-        """Return the rate at `now` s, 0 where nothing came for the span."""
+        """Return the rate at `now` s, 0 without data in the span."""
         if len(self._marks) < 2 or now - self._marks[-1][0] > self._span:
             return 0.0
         length = max(self._marks[-1][0], now - 0.25 * self._span) - self._marks[0][0]

@@ -1,7 +1,7 @@
-"""Where bytes come from: a serial port (or pseudo-terminal), standard input, or a recording played at a chosen speed.
+"""Sources of bytes: a serial port (or pseudo-terminal), standard input, or a recording played at a chosen speed.
 
-A source is opened, read and closed by one thread, see receiver.py. `read` returns b"" when nothing came in time, and
-None at the end; OSError says that the cable was pulled, whatever the kind of port.
+A source is opened, read and closed by one thread, see receiver.py. `read` returns b"" when nothing arrived in time, and
+None at the end; OSError means that the cable was unplugged, for every kind of port.
 """
 
 import contextlib
@@ -29,11 +29,11 @@ LARGEST_CAPTURE = 512 << 20  # bytes of a recording that is held in memory
 
 
 class Source(Protocol):
-    """Something that can be opened again after it failed."""
+    """A source of bytes that can be opened again after a failure."""
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name for messages."""
         ...
 
     @property
@@ -42,10 +42,11 @@ class Source(Protocol):
         ...
 
     def open(self) -> None:
-        """Raise OSError if it is not there."""
+        """Raise OSError if it does not exist."""
 
     def read(self) -> bytes | None:
-        """Return what came, b"" if nothing did for :data:`WAIT`, None at the end. Raises OSError if it was lost."""
+        """Return received bytes, b"" if there were none for :data:`WAIT`, None at the end. Raises OSError if it was
+        lost."""
 
     def close(self) -> None:
         """Never raises."""
@@ -53,7 +54,7 @@ class Source(Protocol):
 
 @dataclass
 class SerialSource:
-    """A serial port; a pseudo-terminal is one too, and what pyserial reaches by an address (socket://host:port)."""
+    """A serial port; also a pseudo-terminal, or an address of pyserial (socket://host:port)."""
 
     port: str
     baud: int = DEFAULT_BAUD
@@ -82,15 +83,15 @@ class SerialSource:
             raise OSError(str(error)) from error
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         if self._serial is not None:
-            with contextlib.suppress(OSError):  # it is gone already
+            with contextlib.suppress(OSError):  # already closed
                 self._serial.close()
             self._serial = None
 
 
 def _reason(error: Exception) -> str:
-    """What is wrong with a port, without its name, which pyserial says twice."""
+    """The error of a port without its name, which pyserial repeats."""
     number = getattr(error, "errno", None)
     if number == errno.ENOENT:
         return "no such port"
@@ -119,7 +120,7 @@ class PipeSource:
 
 @dataclass
 class ReplaySource:
-    """A recording as the logger would have sent it, `speed` times as fast; infinitely fast: as fast as it is taken."""
+    """A recording as the logger would have sent it, `speed` times as fast; infinite: as fast as it is read."""
 
     path: Path
     speed: float = 1.0
@@ -158,7 +159,7 @@ class ReplaySource:
 
     @property
     def share(self) -> float:
-        """How much of it was played, 0..1."""
+        """Played share, 0..1."""
         return self._at / self._ends[-1] if self._ends else 0.0
 
     def _due(self, now: float) -> int:
@@ -168,7 +169,7 @@ class ReplaySource:
         return self._ends[k - 1] if k else 0
 
     def close(self) -> None:
-        """Forget the file."""
+        """Release the file."""
         self._data = b""
 
 
@@ -198,7 +199,7 @@ def _schedule(data: bytes) -> tuple[list[float], list[int]]:
 
 
 def _place(data: bytes, frame: Frame, after: int) -> int:
-    """Byte behind a frame that lies somewhere behind `after`."""
+    """Index of the byte after the next frame after `after`."""
     at = data.index(frame.records, after)
     return at + len(frame.records) + 4
 

@@ -7,13 +7,13 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from smoother.live import words
+from smoother.live import view_text
 from smoother.live.frame import Frame
 from smoother.units import DEG, STANDARD_GRAVITY
 
 BAR = 21  # characters
 FORCE_RANGE, RATE_RANGE = 3.0, 180.0  # g, deg/s
-FRAMES = 10.0  # a second: what a terminal over a network takes without falling behind
+FRAMES = 10.0  # a second: enough for a terminal over a network
 
 
 def bar(value: float, limit: float) -> str:
@@ -28,20 +28,21 @@ def bar(value: float, limit: float) -> str:
 
 
 def panel(frame: Frame, name: str) -> Panel:
-    """Return everything that is known, as one panel. name of the source."""
+    """Return a frame as one panel. name of the source."""
     s, link = frame.snapshot, frame.link
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", min_width=10)
     table.add_column()
-    gps_style = "green" if words.is_gps_good(s) else "bold red"
+    gps_style = "green" if view_text.is_gps_good(s) else "bold red"
     lag = s.lag
+    smoothed = view_text.angles(lag.R_nb if lag else None)
     rows: list[tuple[str, Text]] = [
-        ("attitude", Text("roll {:>8}  pitch {:>8}  yaw {:>6}   (Madgwick)".format(*words.angles(s.madgwick)))),
-        ("", Text("roll {:>8}  pitch {:>8}  yaw {:>6}   (smoother)".format(*words.angles(lag.R_nb if lag else None)))),
-        ("smoother", Text(words.smoother(s))),
-        ("GPS", Text(words.gps(s), style=gps_style)),
-        ("speed", Text(words.speed(s), style="bold")),
-        ("laps", Text(words.laps(s))),
+        ("attitude", Text("roll {:>8}  pitch {:>8}  yaw {:>6}   (Madgwick)".format(*view_text.angles(s.madgwick)))),
+        ("", Text("roll {:>8}  pitch {:>8}  yaw {:>6}   (smoother)".format(*smoothed))),
+        ("smoother", Text(view_text.smoother(s))),
+        ("GPS", Text(view_text.gps(s), style=gps_style)),
+        ("speed", Text(view_text.speed(s), style="bold")),
+        ("laps", Text(view_text.laps(s))),
     ]
     for axis, value in zip("xyz", s.force / STANDARD_GRAVITY, strict=True):
         rows.append((f"force {axis}", Text(f"{bar(value, FORCE_RANGE)} {value:+6.2f} g")))
@@ -49,12 +50,12 @@ def panel(frame: Frame, name: str) -> Panel:
         rows.append((f"rate {axis}", Text(f"{bar(value, RATE_RANGE)} {value:+6.1f} °/s")))
     link_style = "" if link.is_open else "bold red"
     rows += [
-        ("rates", Text(words.rates(frame))),
-        ("compass", Text(words.compass(s))),
-        ("link", Text(words.connection(link, name), style=link_style)),
-        ("lost", Text(words.losses(frame))),
-        ("delay", Text(words.delay(frame))),
-        ("recording", Text(words.recording(frame), style="" if words.is_recording_well(frame) else "bold red")),
+        ("rates", Text(view_text.rates(frame))),
+        ("compass", Text(view_text.compass(s))),
+        ("link", Text(view_text.connection(link, name), style=link_style)),
+        ("lost", Text(view_text.losses(frame))),
+        ("delay", Text(view_text.delay(frame))),
+        ("recording", Text(view_text.recording(frame), style="" if view_text.is_recording_well(frame) else "bold red")),
     ]
     for label, text in rows:
         table.add_row(label, text)
@@ -78,6 +79,6 @@ class TerminalView:
         self._live.stop()
 
     def draw(self, frame: Frame) -> bool:
-        """Draw; a terminal is never closed by itself."""
+        """Draw; returns True: a terminal is never closed."""
         self._live.update(panel(frame, self._name), refresh=True)
         return True

@@ -1,8 +1,8 @@
 """The view in a window: a Tk canvas, whose items are moved, never drawn anew.
 
 matplotlib was measured first: 75 ms of processor time a frame even with blitting, of which 60 lay out and draw twenty
-texts. A canvas keeps its texts and lines on the display's side and takes a few milliseconds. The box is projected by
-hand, which is a product of matrices.
+texts. A canvas keeps its texts and lines in the display server and takes a few milliseconds. The logger is projected by
+a product of matrices.
 """
 
 import tkinter
@@ -12,21 +12,21 @@ import numpy as np
 
 from smoother.arrays import Array, IntArray
 from smoother.errors import UsageError
-from smoother.live import words
+from smoother.live import view_text
 from smoother.live.engine import Snapshot
 from smoother.live.frame import Frame
 from smoother.units import DEG, STANDARD_GRAVITY
 
-FRAMES = 40.0  # a second; a machine that is busy with other things leaves out a third of them
+FRAMES = 40.0  # a second; a busy machine drops a third of them
 WIDTH, HEIGHT = 1060, 640  # pixels
-WRAPPED, LONGEST = 560, 150  # pixels of a line of words, letters of two
+WRAPPED, LONGEST = 560, 150  # pixels of a line of text, letters of two
 FORCE_RANGE, RATE_RANGE = 3.0, 180.0  # g, deg/s
 INK, DIM, FAINT, PAPER = "#1a1c20", "#6b7280", "#d5dae2", "#ffffff"
 AXES = ("#c0392b", "#1e8449", "#2458b3")  # forward, left, up
 GOOD, BAD = "#1e8449", "#c0392b"
 FONT = "DejaVu Sans"
 BOX = np.array([1.0, 0.62, 0.26])  # half lengths: forward, left, up
-# a camera behind, right of and above the box that looks north: rows are right, up and towards the viewer, in n
+# a camera behind, right of and above the logger, facing north: rows are right, up and towards the viewer, in n
 _TURN, _RISE = -25.0 * DEG, 28.0 * DEG
 _RIGHT = np.array([np.sin(_TURN), -np.cos(_TURN), 0.0])
 _AWAY = np.array([np.cos(_TURN) * np.cos(_RISE), np.sin(_TURN) * np.cos(_RISE), -np.sin(_RISE)])
@@ -38,12 +38,12 @@ _COLOURS = ("#e8a33d", "#9aa3b2", "#b9c1ce", "#b9c1ce", "#dfe4ec", "#7d8696")
 
 
 def project(points_n: Array) -> Array:
-    """Return points (..., 3) of n as the camera sees them, (..., 2)."""
+    """Return the projection (..., 2) of points (..., 3) of n."""
     return np.asarray(points_n @ CAMERA[:2].T)
 
 
 def box_faces(R_nb: Array) -> tuple[Array, IntArray]:
-    """Return the visible faces of the box, (K, 4, 2), and which they are (K,)."""
+    """Return the visible faces of the box, (K, 4, 2), and their indices (K,)."""
     corners = project(_CORNERS @ R_nb.T)
     visible = np.flatnonzero((_NORMALS @ R_nb.T) @ CAMERA[2] > 0.0)
     return corners[_FACES[visible]], visible.astype(np.int64)
@@ -86,7 +86,7 @@ class WindowView:
         if not self._is_open:
             return False
         s = frame.snapshot
-        self._box.update(s, is_stale=words.is_stale(frame))
+        self._box.update(s, is_stale=view_text.is_stale(frame))
         self._words.update(frame, self._name)
         self._force.update(s.force / STANDARD_GRAVITY)
         self._rate.update(s.rate / DEG)
@@ -100,19 +100,19 @@ class WindowView:
 
 
 class _Item:
-    """An item of the canvas that is told only what has changed."""
+    """An item of the canvas; only changes are sent to it."""
 
     def __init__(self, canvas: tkinter.Canvas, item: int) -> None:
         self._canvas, self._item = canvas, item
-        self._told: dict[str, object] = {}
+        self._options: dict[str, object] = {}
 
     def set(self, **values: object) -> None:
         """Set options, as text or fill."""
-        changed = {name: value for name, value in values.items() if self._told.get(name) != value}
+        changed = {name: value for name, value in values.items() if self._options.get(name) != value}
         if changed:
             options: dict[str, Any] = changed
             self._canvas.itemconfigure(self._item, **options)
-            self._told.update(changed)
+            self._options.update(changed)
 
     def move(self, points: Array) -> None:
         """Put the item's points at (K, 2) pixels."""
@@ -130,7 +130,7 @@ def _text(canvas: tkinter.Canvas, x: float, y: float, size: int, colour: str = I
 
 
 class _Box:
-    """The box: solid by the smoother (by Madgwick before), outlined by Madgwick."""
+    """The logger: solid by the smoother (by Madgwick before), outlined by Madgwick."""
 
     def __init__(self, canvas: tkinter.Canvas, centre: tuple[float, float], scale: float) -> None:
         self._centre, self._scale = np.array(centre), scale
@@ -157,11 +157,11 @@ class _Box:
     def update(self, s: Snapshot, *, is_stale: bool) -> None:
         R = s.madgwick if s.lag is None else s.lag.R_nb
         both = s.lag is not None and s.madgwick is not None
-        title = "roll {}   pitch {}   yaw {}".format(*words.angles(R))
+        title = "roll {}   pitch {}   yaw {}".format(*view_text.angles(R))
         self._title.set(text=title, fill=DIM if is_stale else INK)
-        second = "Madgwick (dashed): roll {}   pitch {}   yaw {}".format(*words.angles(s.madgwick))
+        second = "Madgwick (dashed): roll {}   pitch {}   yaw {}".format(*view_text.angles(s.madgwick))
         self._second.set(text=second if both else "Madgwick's filter" if s.madgwick is not None else "")
-        self._stage.set(text=words.smoother(s))
+        self._stage.set(text=view_text.smoother(s))
         self._put(self._faces, R, is_filled=True)
         self._put(self._outline, s.madgwick if both else None, is_filled=False)
         names = ("forward", "left", "up") if s.R_bs is not None else ("x", "y", "z")
@@ -190,7 +190,7 @@ class _Box:
 
 
 class _Words:
-    """What is said in words."""
+    """The texts."""
 
     _LABELS = ("GPS", "speed", "laps", "rates", "link", "delay", "record", "lost")
 
@@ -208,21 +208,21 @@ class _Words:
     def update(self, frame: Frame, name: str) -> None:
         s, link = frame.snapshot, frame.link
         texts = {
-            "GPS": words.gps(s),
-            "speed": words.speed(s),
-            "laps": words.laps(s),
-            "rates": words.rates(frame),
-            "link": words.connection(link, name),
-            "lost": words.losses(frame),
-            "delay": words.delay(frame),
-            "record": words.recording(frame),
+            "GPS": view_text.gps(s),
+            "speed": view_text.speed(s),
+            "laps": view_text.laps(s),
+            "rates": view_text.rates(frame),
+            "link": view_text.connection(link, name),
+            "lost": view_text.losses(frame),
+            "delay": view_text.delay(frame),
+            "record": view_text.recording(frame),
         }
         for label, text in texts.items():
             longest = LONGEST if label == "lost" else LONGEST // 2
             self._lines[label].set(text=text if len(text) < longest else text[: longest - 3] + "...")
-        self._lines["speed"].set(fill=DIM if words.is_stale(frame) else INK)
-        self._lines["GPS"].set(fill=GOOD if words.is_gps_good(s) else BAD)
-        self._lines["record"].set(fill=INK if words.is_recording_well(frame) else BAD)
+        self._lines["speed"].set(fill=DIM if view_text.is_stale(frame) else INK)
+        self._lines["GPS"].set(fill=GOOD if view_text.is_gps_good(s) else BAD)
+        self._lines["record"].set(fill=INK if view_text.is_recording_well(frame) else BAD)
         self._lines["link"].set(fill=INK if link.is_open or link.is_over else BAD)
 
 
@@ -252,7 +252,7 @@ class _Bars:
 
 
 class _Sphere:
-    """Directions of the magnetic field that were seen: both halves of the sphere from above, in the box's axes."""
+    """Covered directions of the magnetic field: both halves of the sphere from above, in sensor axes."""
 
     def __init__(self, canvas: tkinter.Canvas, centre: tuple[float, float], radius: float) -> None:
         self._canvas, self._centre, self._radius = canvas, np.array(centre), radius
@@ -267,7 +267,7 @@ class _Sphere:
         self._shown = np.zeros((0, 3))
 
     def update(self, s: Snapshot) -> None:
-        self._title.set(text=f"compass: {words.compass(s)}")
+        self._title.set(text=f"compass: {view_text.compass(s)}")
         if np.array_equal(s.field_points, self._shown):
             return
         self._shown = s.field_points
@@ -281,7 +281,8 @@ class _Sphere:
 
 
 def disc_positions(vectors: Array) -> Array:
-    """Return where directions of vectors (K, 3) stand in two discs of equal area, (K, 2): z up at 0, z down at 2.3."""
+    """Return the positions of directions of vectors (K, 3) in two discs of equal area, (K, 2): z up at 0, z down at
+    2.3."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     unit = vectors / np.maximum(length, 1e-12)
     radius = np.sqrt(1.0 - np.abs(unit[:, 2]))

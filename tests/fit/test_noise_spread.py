@@ -18,8 +18,8 @@ from smoother.fit.noise_spread import (
     of_positions,
     of_rate,
     of_velocities,
-    told_as_walk,
-    told_as_white,
+    redundancy_as_walk,
+    redundancy_as_white,
 )
 
 
@@ -58,8 +58,8 @@ def test_what_a_change_shows_is_the_mean_square_over_the_mean_of_what_is_left(sh
     of_walk = 1.0 / (1.0 + 4.0 * a * np.sin(0.5 * theta) ** 2)
     left = 1.0 - of_walk
     assert np.mean(left) == pytest.approx(share, rel=1e-3)
-    assert told_as_white(share) == pytest.approx(float(np.mean(left**2) / np.mean(left)), rel=1e-3)
-    assert told_as_walk(walk) == pytest.approx(float(np.mean(of_walk**2) / np.mean(of_walk)), rel=1e-3)
+    assert redundancy_as_white(share) == pytest.approx(float(np.mean(left**2) / np.mean(left)), rel=1e-3)
+    assert redundancy_as_walk(walk) == pytest.approx(float(np.mean(of_walk**2) / np.mean(of_walk)), rel=1e-3)
 
 
 def test_a_walk_is_known_as_well_as_estimates_of_it_scatter() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from smoother.live.engine import Engine
 from smoother.live.identify import Foreground
-from smoother.live.navigator import Aboard
+from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import Chunk
 from smoother.session.log_format import LogRecords
 
@@ -45,7 +45,7 @@ def sent_and_recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tupl
 
 def test_the_live_view_takes_what_the_emulated_logger_sends(sent_and_recorded: tuple[bytes, LogRecords]) -> None:
     sent, card = sent_and_recorded
-    engine = Engine(Aboard(Foreground()))
+    engine = Engine(LocalNavigator(Foreground()))
     received = []
     for at in range(0, len(sent), 300):
         snapshot, batches = engine.step([Chunk(at * 1e-4, sent[at : at + 300])])

@@ -26,8 +26,8 @@ from smoother.estimate.solvers.identify import FREE
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
 from smoother.live.lag import FixedLag, LagOptions, LagStart, rate_without_noise
-from smoother.live.lag_graph import Marginal, WindowGraph, carried_on, rolling
-from smoother.live.navigator import Aboard
+from smoother.live.lag_graph import Marginal, WindowGraph, extrapolated, rolling
+from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples
@@ -38,8 +38,8 @@ TICK = 300  # bytes at once, a fifteenth of a second
 
 
 @pytest.fixture(scope="module")
-def navigating() -> Aboard:
-    return Aboard(Foreground())
+def navigating() -> LocalNavigator:
+    return LocalNavigator(Foreground())
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def comparing() -> Iterator[ModuleType]:
 
 
 @pytest.fixture(scope="module")
-def snapshots(drive, navigating: Aboard) -> list[Snapshot]:
+def snapshots(drive, navigating: LocalNavigator) -> list[Snapshot]:
     engine, stream = Engine(navigating), drive.stream
     taken = [engine.step([Chunk(at * 1e-4, stream[at : at + TICK])])[0] for at in range(0, len(stream), TICK)]
     for _ in range(400):  # let a smoother that catches up finish
@@ -73,7 +73,7 @@ def test_attitude_after_a_minute_is_near_the_bound_of_a_filter(drive, snapshots:
 
 
 def test_the_last_second_differs_from_the_batch_smoother_by_what_its_data_are_fewer(
-    drive, navigating: Aboard, snapshots: list[Snapshot], comparing: ModuleType
+    drive, navigating: LocalNavigator, snapshots: list[Snapshot], comparing: ModuleType
 ) -> None:
     """In attitude, velocity and position, each over sqrt(P_lag - P_batch) (Hausman 1978)."""
     session = prepare(drive.simulation.raw)
@@ -209,7 +209,7 @@ def test_the_state_now_is_as_unsure_as_one_more_keyframe_is(whole: Whole) -> Non
     one = whole.binned.between(end - 1, end + 3)
     samples = one.specific_force_s.reshape(-1, 3), one.angular_rate_s.reshape(-1, 3)
     measured = preintegrated(whole, state, *samples, one.dt)
-    _, found = carried_on(state.part(slice(-1, None)), known, measured, float(t[end + 2]))
+    _, found = extrapolated(state.part(slice(-1, None)), known, measured, float(t[end + 2]))
     motion = slice(0, 9)  # GTSAM lets the bias of a longer interval walk at its end
     sigma = np.sqrt(np.diag(wanted.keyframes[-1]))[motion]
     apart = (found.keyframes[-1] - wanted.keyframes[-1])[motion, motion] / np.outer(sigma, sigma)
@@ -236,7 +236,7 @@ def test_errors_of_scale_are_taken_out_of_what_carries_on(whole: Whole) -> None:
     ):
         samples = np.tile(f + state.accel_bias_s, (80, 1)), np.tile(w + state.gyro_bias_s, (80, 1))
         measured = preintegrated(whole, state, *samples, 0.01)
-        ends.append(carried_on(state, known, measured, float(last.t[0]) + 0.8)[0])
+        ends.append(extrapolated(state, known, measured, float(last.t[0]) + 0.8)[0])
     good, corrected, wrong = ends
     # to first order: of 1 % twice 0.01 % of 11 m/s^2 and 0.5 rad/s are left, for 0.8 s
     np.testing.assert_allclose(corrected.velocity_n[-1], good.velocity_n[-1], atol=6e-3)
@@ -257,7 +257,7 @@ def fed(drive, start: LagStart, seconds: float) -> FixedLag:
 
 
 def test_what_no_data_can_tell_of_the_offset_is_in_the_sigma_of_positions_and_in_no_factor(
-    drive, navigating: Aboard, snapshots: list[Snapshot]
+    drive, navigating: LocalNavigator, snapshots: list[Snapshot]
 ) -> None:
     assert snapshots and navigating.start is not None
     start = replace(navigating.start, unseen_offset=np.array([9.0, 4.0, 1.0]))
@@ -268,7 +268,9 @@ def test_what_no_data_can_tell_of_the_offset_is_in_the_sigma_of_positions_and_in
     np.testing.assert_array_equal(one.unseen_offset, start.unseen_offset)
 
 
-def test_a_kart_is_as_unsure_as_the_mounting_of_its_box(drive, navigating: Aboard, snapshots: list[Snapshot]) -> None:
+def test_a_kart_is_as_unsure_as_the_mounting_of_its_box(
+    drive, navigating: LocalNavigator, snapshots: list[Snapshot]
+) -> None:
     assert snapshots and navigating.start is not None
     start = replace(navigating.start, mounting_sigma=np.array([0.02, 0.03, 0.05]))
     one, other = (fed(drive, s, 2.0).state() for s in (start, replace(start, mounting_sigma=np.zeros(3))))
@@ -277,7 +279,7 @@ def test_a_kart_is_as_unsure_as_the_mounting_of_its_box(drive, navigating: Aboar
 
 
 def test_a_fix_of_a_time_that_samples_have_not_reached_is_left_out(
-    navigating: Aboard, snapshots: list[Snapshot]
+    navigating: LocalNavigator, snapshots: list[Snapshot]
 ) -> None:
     assert snapshots and navigating.start is not None
     start = navigating.start
@@ -297,7 +299,7 @@ def with_latencies(start: LagStart, position: float, velocity: float) -> LagStar
 
 @pytest.mark.parametrize("latency", [-0.2, 0.0, 0.45])
 def test_a_fix_waits_for_samples_around_it_and_no_longer(
-    drive, navigating: Aboard, snapshots: list[Snapshot], latency: float
+    drive, navigating: LocalNavigator, snapshots: list[Snapshot], latency: float
 ) -> None:
     """Also where stamps are before the fixes are true: those of Lignano are, by 0.1 s."""
     assert snapshots and navigating.start is not None
@@ -311,7 +313,7 @@ def test_a_fix_waits_for_samples_around_it_and_no_longer(
 
 
 def test_constants_are_held_with_wheels_and_their_errors_count(
-    drive, navigating: Aboard, snapshots: list[Snapshot]
+    drive, navigating: LocalNavigator, snapshots: list[Snapshot]
 ) -> None:
     assert snapshots and navigating.start is not None and navigating.start.held is not None
     start, lag = navigating.start, fed(drive, navigating.start, 5.0)
@@ -344,7 +346,7 @@ def test_the_swing_of_the_antenna_is_without_the_noise_of_the_last_sample(whole:
 
 @pytest.mark.parametrize("later", [0, 1])
 def test_of_a_fix_across_the_beginning_the_part_counts_that_no_prior_has(
-    navigating: Aboard, snapshots: list[Snapshot], later: int
+    navigating: LocalNavigator, snapshots: list[Snapshot], later: int
 ) -> None:
     assert snapshots and navigating.start is not None
     start, zero = with_latencies(navigating.start, *np.roll([0.1, 0.3], later)), np.zeros(3)
@@ -371,7 +373,9 @@ def test_wheels_hold_the_yaw_where_the_session_has_them_and_not_where_the_kart_s
     np.testing.assert_array_equal(beside[:80], rolls[:80])
 
 
-def test_a_fix_counts_once_in_the_window_or_in_its_prior(drive, navigating: Aboard, snapshots: list[Snapshot]) -> None:
+def test_a_fix_counts_once_in_the_window_or_in_its_prior(
+    drive, navigating: LocalNavigator, snapshots: list[Snapshot]
+) -> None:
     assert snapshots and navigating.start is not None
     lag = fed(drive, navigating.start, 8.0)
     for values, latency in zip((lag._fixes.position_n, lag._fixes.velocity_n), lag.latencies, strict=True):
@@ -380,7 +384,7 @@ def test_a_fix_counts_once_in_the_window_or_in_its_prior(drive, navigating: Aboa
         assert np.any(ahead > 0.05) and np.isfinite(values[ahead > 0.05, :2]).all()
 
 
-def test_what_is_older_than_the_lag_is_forgotten(navigating: Aboard, snapshots: list[Snapshot]) -> None:
+def test_what_is_older_than_the_lag_is_forgotten(navigating: LocalNavigator, snapshots: list[Snapshot]) -> None:
     assert snapshots[-1].lag is not None
     lag = navigating._navigator._lag
     assert lag is not None and lag.fixes_used > 25
@@ -414,7 +418,7 @@ def test_rates_fix_and_satellites_are_what_was_sent(snapshots: list[Snapshot]) -
 
 def test_a_stream_of_garbage_gives_a_snapshot_and_no_error() -> None:
     rng = np.random.default_rng(4)
-    engine = Engine(Aboard(Foreground()))
+    engine = Engine(LocalNavigator(Foreground()))
     for _ in range(50):
         snapshot, batches = engine.step([Chunk(1.0, rng.bytes(2000))])
         assert not batches

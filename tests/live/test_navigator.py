@@ -47,7 +47,7 @@ def test_the_smoother_runs_on_a_stream_in_lumps_and_is_given_up_over_a_long_gap(
     later = ImuSamples(imu.t[-200:] + LONGEST_GAP + 2.0, imu.specific_force_s[-200:], imu.angular_rate_s[-200:])
     navigator.take([later], 2.0)
     assert navigator.look().lag is None
-    assert "nothing came for 16 s" in navigator._flaw
+    assert "no data for 16 s" in navigator._flaw
 
 
 def test_what_is_identified_on_has_no_long_gap_in_it(drive) -> None:

@@ -15,7 +15,7 @@ from smoother.errors import UsageError
 from smoother.live.engine import Engine
 from smoother.live.frame import Frame
 from smoother.live.identify import Foreground
-from smoother.live.navigator import Aboard
+from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import MOST_WAITING, READ_AHEAD, Chunk, Receiver
 from smoother.live.running import run
 from smoother.live.sources import READ_BYTES, PipeSource, ReplaySource, SerialSource, source_for
@@ -73,7 +73,7 @@ def wait_until(condition: object, seconds: float = 10.0) -> None:
 
 
 def test_a_pulled_cable_is_noticed_and_the_stream_goes_on_when_it_is_back(port: Port, drive) -> None:
-    engine, first, second = Engine(Aboard(Foreground())), drive.stream[:20_000], drive.stream[30_000:50_000]
+    engine, first, second = Engine(LocalNavigator(Foreground())), drive.stream[:20_000], drive.stream[30_000:50_000]
     with Receiver(SerialSource(str(port.link))) as receiver:
         wait_until(lambda: receiver.status.is_open)  # opening a port throws away what came before
         port.write(first)
@@ -102,7 +102,7 @@ def test_a_sender_ten_times_too_fast_is_shown_without_falling_behind(port: Port,
     with Receiver(SerialSource(str(port.link))) as receiver:
         wait_until(lambda: receiver.status.is_open)
         sender.start()
-        last = run(receiver, Engine(Aboard(NoWorker())), shown, None, lambda: not sender.is_alive())
+        last = run(receiver, Engine(LocalNavigator(NoWorker())), shown, None, lambda: not sender.is_alive())
         sender.join()
     assert last.t > 30.0
     delays = sorted(shown.delays)
@@ -192,7 +192,7 @@ def test_what_is_wrong_with_a_source_ends_the_loop_instead_of_leaving_it_waiting
             raise ZeroDivisionError("a mistake")
 
     with Receiver(Broken(tmp_path)) as receiver, pytest.raises(ZeroDivisionError, match="a mistake"):
-        run(receiver, Engine(Aboard(Foreground())), Shown(), stop=stopped_after(5.0))
+        run(receiver, Engine(LocalNavigator(Foreground())), Shown(), stop=stopped_after(5.0))
 
 
 def stopped_after(seconds: float) -> Callable[[], bool]:
@@ -214,7 +214,7 @@ def test_a_file_without_records_is_one_line_of_error(tmp_path: Path) -> None:
     with Receiver(ReplaySource(path)) as receiver:
         time.sleep(0.1)
         with pytest.raises(UsageError, match="neither blocks nor frames"):
-            run(receiver, Engine(Aboard(Foreground())), Shown())
+            run(receiver, Engine(LocalNavigator(Foreground())), Shown())
 
 
 def test_chunks_know_that_the_cable_was_pulled_before_them(port: Port) -> None:

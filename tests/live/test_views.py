@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from smoother.errors import UsageError
-from smoother.live import words
+from smoother.live import view_text
 from smoother.live.decoding import Losses
 from smoother.live.engine import Snapshot
 from smoother.live.field import FieldSphere
@@ -38,35 +38,35 @@ FULL = Snapshot(
 
 def test_everything_lost_is_said_and_what_was_not_is_not() -> None:
     link = LinkStatus(disconnects=2, dropped_bytes=512)
-    said = words.losses(Frame(FULL, link))
+    said = view_text.losses(Frame(FULL, link))
     for text in ("7 frames lost (6.5%)", "1 damaged", "40 bytes of noise", "512 bytes", "2 x unplugged"):
         assert text in said
     assert "restarted" not in said
-    assert words.losses(Frame()) == "nothing lost"
+    assert view_text.losses(Frame()) == "nothing lost"
 
 
 def test_a_file_that_waits_for_the_smoother_is_not_called_silent() -> None:
     frame = Frame(FULL, LinkStatus(is_open=True), 7.0, is_held=True)
-    assert words.delay(frame) == "the file waits for the smoother"
-    assert not words.is_stale(frame) and words.rates(frame).startswith("IMU 200 Hz")
-    assert words.delay(Frame(FULL, LinkStatus(is_open=True), 7.0)) == "nothing came for 7 s"
+    assert view_text.delay(frame) == "the file waits for the smoother"
+    assert not view_text.is_stale(frame) and view_text.rates(frame).startswith("IMU 200 Hz")
+    assert view_text.delay(Frame(FULL, LinkStatus(is_open=True), 7.0)) == "no data for 7 s"
 
 
 @pytest.mark.parametrize(
     ("error", "hint"), [("no such port", "ls /dev/tty*"), ("permission denied", "dialout"), ("", ""), ("broken", "")]
 )
 def test_a_port_that_cannot_be_opened_is_said_with_what_to_look_at(error: str, hint: str) -> None:
-    said = words.connection(LinkStatus(error=error), "/dev/ttyUSB0")
+    said = view_text.connection(LinkStatus(error=error), "/dev/ttyUSB0")
     assert said.startswith("/dev/ttyUSB0: NOT CONNECTED") and error in said and hint in said
-    pulled = words.connection(LinkStatus(error=error, disconnects=1), "/dev/ttyUSB0")
+    pulled = view_text.connection(LinkStatus(error=error, disconnects=1), "/dev/ttyUSB0")
     assert not hint or hint not in pulled
 
 
 def test_a_fix_that_grows_old_is_no_fix() -> None:
-    assert words.is_gps_good(FULL)
+    assert view_text.is_gps_good(FULL)
     old = Snapshot(reception=Reception(1, 9), fix_age=4.0)
-    assert not words.is_gps_good(old)
-    assert words.gps(old) == "NO FIX for 4 s, 9 satellites"
+    assert not view_text.is_gps_good(old)
+    assert view_text.gps(old) == "NO FIX for 4 s, 9 satellites"
 
 
 @pytest.mark.parametrize("s", [Snapshot(), FULL], ids=["nothing yet", "everything"])

@@ -1,11 +1,10 @@
-"""Delay of the accelerometer behind the gyroscope, from what a force that stays does in axes that are turned.
+"""Latency of the accelerometer behind the gyroscope, from a slowly changing force in rotating axes.
 
-Gravity and the pull of a bend change slowly; in the axes of a box that is turned quickly (on a steering wheel, in a
-hand) they change as the box turns, `df/dt = -w x f`. Where a sensor's filter or the reading of it holds the force back,
-the left side comes later than the right. The vehicle's own jerk, bumps, and the box's lever about the axis it turns on
-are noise beside that. Where they go along with the turning (a car leans as the pull of the bend grows), the left side
-has a size of its own as well: several times the right one in cars and in karts whose box is fixed to the frame. So a
-delay is only read where both sides are of one size.
+Gravity and centripetal acceleration change slowly; in the axes of a sensor that is turned quickly (on a steering wheel,
+in a hand) they change with its rotation, `df/dt = -w x f`. A latency of the force delays the left side against the
+right. Jerk, bumps, and the lever of the sensor are noise. Where they are correlated with the rotation (a car leans as
+the lateral acceleration grows), the left side also has another amplitude: several times the right one in cars and in
+karts with the logger on the frame. So a latency is only accepted where both amplitudes agree.
 """
 
 import math
@@ -41,7 +40,7 @@ _SOLUTIONS = 3  # of delay, size and noise, in turns
 
 @dataclass(frozen=True)
 class ForceDelay:
-    """delay s of the force behind the rate and its sigma; is_seen: whether the samples tell it; else 0 and infinite."""
+    """delay s of the force behind the rate and its sigma; is_seen: whether it is observable; else 0 and infinite."""
 
     delay: float
     sigma: float
@@ -49,12 +48,12 @@ class ForceDelay:
 
     @property
     def is_found(self) -> bool:
-        """Whether there is a delay to be taken out."""
+        """Whether there is a latency to correct."""
         return self.is_seen and abs(self.delay) > max(SMALLEST, SIGNIFICANT * self.sigma)
 
     @property
     def unsure(self) -> float:
-        """By how much, s, times are unsure because of it: what is left of one taken out, all of one that is likely."""
+        """Uncertainty of times, s: sigma of a corrected latency, the whole of a likely one."""
         if self.is_found:
             return self.sigma
         is_likely = self.is_seen and abs(self.delay) > LIKELY * self.sigma
@@ -66,9 +65,9 @@ UNSEEN = ForceDelay(0.0, math.inf, False)
 
 @dataclass(frozen=True)
 class BandDelay:
-    """What one band says, Hz: delay s, size of the left side over the right one, correlation of both.
+    """Result of one band, Hz: delay s, size of the left side over the right one, correlation of both.
 
-    Its sigmas are infinite where the size alone shows that it says nothing.
+    Its sigmas are infinite where the size shows that it is useless.
     """
 
     low: float
@@ -89,7 +88,7 @@ class BandDelay:
 
     @property
     def holds(self) -> bool:
-        """Whether the force changes in this band as it must where the box is turned under one that stays."""
+        """Whether the force changes in this band as in a sensor that is turned under a constant force."""
         margin = CERTAIN * self.size_sigma
         return SIZES[0] + margin < self.size < SIZES[1] - margin and abs(self.delay) < LARGEST and self.sigma > 0.0
 

@@ -1,4 +1,4 @@
-"""The navigator in a process of its own: it is given what came when it has answered, and never waited for."""
+"""The navigator in a process of its own, to which items are passed whenever it has answered; nothing waits for it."""
 
 import contextlib
 import time
@@ -11,23 +11,23 @@ from smoother.live.navigator import Item, Navigation, Navigator
 from smoother.live.processes import Background, Child, describe
 from smoother.samples import ImuSamples
 
-MOST_WAITING = 60.0  # s of samples not yet given; what is older then is left out, and said to be
-BEHIND = 5.0  # s of samples not yet given, from which on a source that can wait has to
-AT_ONCE = 100  # items given together: four seconds of the usual stream, which the pipe takes without waiting
-ASK_AGAIN = 0.1  # s, where nothing came
-IDLE = 0.02  # s between looks at a worker that has not answered
+MOST_WAITING = 60.0  # s of waiting samples; older ones are dropped, and counted
+BEHIND = 5.0  # s of waiting samples, above which a source that can wait has to
+AT_ONCE = 100  # items passed together: four seconds of the usual stream, which fit into the pipe
+ASK_AGAIN = 0.1  # s between questions without new data
+IDLE = 0.02  # s between polls of a worker that has not answered
 START_AGAIN = 5.0  # s after a process died
 
 
-class Beside:
-    """The navigator over there. `give` takes what came and returns the newest that is known; it does not wait."""
+class RemoteNavigator:
+    """The navigator in another process. `exchange` passes items and returns the newest navigation without waiting."""
 
     def __init__(self, tracks: tuple[TrackFile, ...] = ()) -> None:
         self._tracks = tracks
         self._child: Child | None = None
         self._waiting: deque[Item] = deque()
         self._arrival = 0.0
-        self._asked_at: float | None = None  # when it was last asked; None: it has answered
+        self._asked_at: float | None = None  # time of the unanswered question; None: it has answered
         self._answered_at = 0.0
         self._is_new = False  # the logger was restarted
         self._flaw = ""
@@ -36,7 +36,7 @@ class Beside:
         self._navigation = Navigation()
         self._start()
 
-    def __enter__(self) -> "Beside":
+    def __enter__(self) -> "RemoteNavigator":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -51,16 +51,16 @@ class Beside:
 
     @property
     def is_behind(self) -> bool:
-        """Whether so much waits that a source that can wait should."""
+        """Whether more than BEHIND s wait, so that a source that can wait should."""
         return self._seconds_waiting() > BEHIND
 
     def restart(self) -> None:
-        """Forget everything: the logger was switched off and on."""
+        """Start anew: the logger was switched off and on."""
         self._waiting.clear()
         self._is_new, self._flaw = True, ""
 
-    def give(self, items: list[Item], arrival: float) -> Navigation:
-        """Take in items, arrival s of their bytes; return what is known."""
+    def exchange(self, items: list[Item], arrival: float) -> Navigation:
+        """Pass items, arrival s of their bytes; return the newest navigation."""
         self._waiting.extend(items)
         self._arrival = max(self._arrival, arrival)
         while self._seconds_waiting() > MOST_WAITING:
@@ -92,7 +92,7 @@ class Beside:
         self._child, self._asked_at = Child(serve, self._tracks, has_children=True), None
 
     def _fail(self) -> None:
-        """Say that the process is gone; the next one begins a while later, without what this one knew."""
+        """Report that the process ended; the next one starts START_AGAIN later, without its state."""
         assert self._child is not None
         self._flaw = f"the smoother's process ended, {self._child.how_it_ended}; it begins again"
         self._child.close()
@@ -106,14 +106,14 @@ class Beside:
 
 
 def _length(item: Item) -> float:
-    """Time, s, that samples cover."""
+    """Duration, s, of samples."""
     return float(item.t[-1] - item.t[0]) if isinstance(item, ImuSamples) else 0.0
 
 
 def serve(connection: Connection, tracks: tuple[TrackFile, ...]) -> None:
-    """Be the process of :class:`Beside`: answer each batch of items with what is known, work in between.
+    """Be the process of :class:`RemoteNavigator`: answer each batch of items with the navigation, work in between.
 
-    An exception is a flaw that is shown; the stream goes on with another navigator.
+    An exception is reported; the stream continues with another navigator.
     """
     with Background() as worker, contextlib.suppress(EOFError, OSError):
         navigator = Navigator(worker, tracks)

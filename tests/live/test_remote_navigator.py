@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from smoother.live import beside
-from smoother.live.beside import Beside
+from smoother.live import remote_navigator
 from smoother.live.processes import Background, RemoteJob
+from smoother.live.remote_navigator import RemoteNavigator
 from smoother.samples import ImuSamples
 
 
@@ -42,8 +42,8 @@ def worker() -> Iterator[Background]:
 
 
 @pytest.fixture(scope="module")
-def navigating() -> Iterator[Beside]:
-    with Beside() as made:
+def navigating() -> Iterator[RemoteNavigator]:
+    with RemoteNavigator() as made:
         yield made
 
 
@@ -77,41 +77,41 @@ class Broken:
         return np.zeros(1)
 
 
-def test_an_exception_in_the_navigator_is_shown_and_the_stream_goes_on(navigating: Beside) -> None:
-    wait_for(lambda: navigating.give([second(0.0)], 0.5).arrival == 0.5)
-    navigating.give([Broken()], 1.0)  # type: ignore[list-item]
-    wait_for(lambda: "RuntimeError: a bug; the smoother begins again" in navigating.give([], 1.0).stage)
-    navigating.give([second(2.0)], 2.5)
-    wait_for(lambda: navigating.give([], 2.5).arrival == 2.5)
+def test_an_exception_in_the_navigator_is_shown_and_the_stream_goes_on(navigating: RemoteNavigator) -> None:
+    wait_for(lambda: navigating.exchange([second(0.0)], 0.5).arrival == 0.5)
+    navigating.exchange([Broken()], 1.0)  # type: ignore[list-item]
+    wait_for(lambda: "RuntimeError: a bug; the smoother begins again" in navigating.exchange([], 1.0).stage)
+    navigating.exchange([second(2.0)], 2.5)
+    wait_for(lambda: navigating.exchange([], 2.5).arrival == 2.5)
 
 
-def test_a_navigator_that_hangs_is_not_waited_for_and_what_it_misses_is_counted(navigating: Beside) -> None:
-    wait_for(lambda: navigating.give([second(0.0)], 4.5).arrival == 4.5)
+def test_a_navigator_that_hangs_is_not_waited_for_and_what_it_misses_is_counted(navigating: RemoteNavigator) -> None:
+    wait_for(lambda: navigating.exchange([second(0.0)], 4.5).arrival == 4.5)
     os.kill(navigating.process_id, signal.SIGSTOP)
     began = time.monotonic()
     for t in range(1, 201):
-        newest = navigating.give([second(float(t))], 5.0)
+        newest = navigating.exchange([second(float(t))], 5.0)
     assert time.monotonic() - began < 5.0
     assert navigating.is_behind
-    assert newest.left_out == pytest.approx(200.0 - beside.MOST_WAITING, abs=3.0)
+    assert newest.left_out == pytest.approx(200.0 - remote_navigator.MOST_WAITING, abs=3.0)
     os.kill(navigating.process_id, signal.SIGCONT)
-    wait_for(lambda: not navigating.give([], 5.0).is_busy)
+    wait_for(lambda: not navigating.exchange([], 5.0).is_busy)
     assert not navigating.is_behind
 
 
 def test_a_navigator_that_is_killed_is_said_and_begins_again(
-    navigating: Beside, monkeypatch: pytest.MonkeyPatch
+    navigating: RemoteNavigator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(beside, "START_AGAIN", 0.2)
-    wait_for(lambda: navigating.give([second(0.0)], 9.5).arrival == 9.5)
+    monkeypatch.setattr(remote_navigator, "START_AGAIN", 0.2)
+    wait_for(lambda: navigating.exchange([second(0.0)], 9.5).arrival == 9.5)
     os.kill(navigating.process_id, signal.SIGKILL)
-    wait_for(lambda: "killed by signal 9" in navigating.give([second(1.0)], 10.5).stage)
-    wait_for(lambda: navigating.give([second(2.0)], 11.5).arrival == 11.5)
+    wait_for(lambda: "killed by signal 9" in navigating.exchange([second(1.0)], 10.5).stage)
+    wait_for(lambda: navigating.exchange([second(2.0)], 11.5).arrival == 11.5)
 
 
 def test_no_process_is_left_behind() -> None:
-    with Beside() as navigating:
-        wait_for(lambda: navigating.give([second(0.0)], 0.5).arrival == 0.5)
+    with RemoteNavigator() as navigating:
+        wait_for(lambda: navigating.exchange([second(0.0)], 0.5).arrival == 0.5)
         assert navigating._child is not None
         process = navigating._child._process
     assert not process.is_alive()

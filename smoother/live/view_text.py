@@ -1,4 +1,4 @@
-"""What the views say of a snapshot in words and short numbers: one wording for the window and the terminal."""
+"""Texts of the views: common to the window and the terminal."""
 
 import math
 
@@ -15,7 +15,7 @@ HINTS = {
     "no such port": "is it plugged in, and is the name right? `ls /dev/tty*` shows what is there",
     "permission denied": "who may use it? `ls -l` shows its group, mostly dialout; `id` shows yours",
 }
-VAGUE = 30.0  # deg; what an attitude is unsure by before the drive has shown how the box is mounted
+LARGE_SIGMA = 30.0  # deg, of an attitude before the mounting is identified
 
 
 def angles(R: np.ndarray | None) -> tuple[str, str, str]:
@@ -62,7 +62,7 @@ def laps(s: Snapshot) -> str:
 
 
 def is_stale(frame: Frame) -> bool:
-    """Whether what is shown is old: nothing comes any more."""
+    """Whether the data is old because nothing is received."""
     return (frame.delay > SILENT and not frame.is_held) or (not frame.link.is_open and not frame.link.is_over)
 
 
@@ -78,18 +78,18 @@ def rates(frame: Frame) -> str:
 
 
 def losses(frame: Frame) -> str:
-    """Everything that was lost on the way here; what did not happen is not said."""
+    """All losses that occurred."""
     s, link = frame.snapshot, frame.link
-    said = [
+    counts = [
         (s.losses.lost_frames, f"{s.losses.lost_frames} frames lost ({s.losses.lost_share:.1%})"),
         (s.losses.damaged, f"{s.losses.damaged} damaged"),
         (s.losses.noise_bytes, f"{s.losses.noise_bytes} bytes of noise or text"),
-        (link.dropped_bytes, f"{link.dropped_bytes} bytes came too fast"),
+        (link.dropped_bytes, f"{link.dropped_bytes} bytes dropped"),
         (link.disconnects, f"{link.disconnects} x unplugged"),
         (s.losses.restarts, f"logger restarted {s.losses.restarts} x"),
         (s.left_out, f"{s.left_out:.0f} s not smoothed"),
     ]
-    return ", ".join(text for count, text in said if count) or "nothing lost"
+    return ", ".join(text for count, text in counts if count) or "nothing lost"
 
 
 def connection(link: LinkStatus, name: str) -> str:
@@ -102,28 +102,28 @@ def connection(link: LinkStatus, name: str) -> str:
 
 
 def trouble(link: LinkStatus) -> str:
-    """Why a port is not open, and what to look at; of one that was open before, what is wrong is known."""
+    """Why a port is not open, with a hint, unless it was open before."""
     hint = "" if link.disconnects else HINTS.get(link.error, "")
     return f"{link.error}; {hint}" if hint else link.error
 
 
 def delay(frame: Frame) -> str:
-    """How old what is shown is, and the smoother's part of it."""
+    """Age of the displayed data, and of the smoother's state."""
     if frame.is_held:
         return "the file waits for the smoother"
     if frame.delay > SILENT and not frame.link.is_over:
-        return f"nothing came for {frame.delay:.0f} s"
+        return f"no data for {frame.delay:.0f} s"
     own = f", smoother {1e3 * frame.smoother_delay:.0f} ms" if math.isfinite(frame.smoother_delay) else ""
     return f"{1e3 * frame.delay:.0f} ms{own}"
 
 
 def is_recording_well(frame: Frame) -> bool:
-    """Whether nothing is wrong with what is written down."""
+    """Whether the recording has no failure."""
     return frame.recording is None or not frame.recording.flaw
 
 
 def recording(frame: Frame) -> str:
-    """What is written down."""
+    """State of the recording."""
     if frame.recording is None:
         return "off"
     if frame.recording.flaw:
@@ -132,20 +132,20 @@ def recording(frame: Frame) -> str:
 
 
 def compass(s: Snapshot) -> str:
-    """How much of the sphere was seen."""
+    """Coverage of the sphere."""
     if s.coverage == 0.0:
-        return "turn the box every way to see its sphere"
+        return "turn the logger in all directions to cover its sphere"
     rms = f", {s.field_rms:.2f} uT off the ellipsoid" if math.isfinite(s.field_rms) else ""
-    return f"{s.coverage:.0%} seen{rms}"
+    return f"{s.coverage:.0%} covered{rms}"
 
 
 def smoother(s: Snapshot) -> str:
-    """What the smoother does, and how sure it is."""
+    """Stage of the smoother, and its sigmas."""
     if s.is_calibrating:
-        return "calibrating the compass: turn the box every way"
+        return "calibrating the compass: turn the logger in all directions"
     if s.lag is None:
         return s.stage
     worst = float(np.max(s.lag.attitude_sigma)) / DEG
-    if worst > VAGUE:
-        return "smoothing, the mounting is still rough"
+    if worst > LARGE_SIGMA:
+        return "smoothing, the mounting is not accurate yet"
     return f"smoothing, attitude ±{worst:.1f}°, speed ±{float(np.max(s.lag.velocity_sigma[:2])) / KMH:.1f} km/h"
