@@ -111,23 +111,7 @@ def require_clock(path: Path, t: Array) -> None:
 
 
 def problems_of_table(table: Table, prefix: str) -> Iterator[Problem]:
-    """What to say of the table as a whole: columns that are there twice, header lines in between, a last row cut."""
-    first = [name for name in table.repeated if name not in table.passed_over]
-    for names, used in ((first, "the first"), (table.passed_over, "the first that is not empty")):
-        each = "column of that name" if len(names) == 1 else "column of each of these names"
-        if names:
-            text = f"{table.file}: {listed(names)}: more than one {each}; {used} is used"
-            yield Problem(f"{prefix}_repeated_column", text, len(names))
-    if table.changed:
-        more = f", and {len(table.changed) - 1} more" if len(table.changed) > 1 else ""
-        text = (
-            f"line {table.changed[0]}: a header line with other columns than before{more}; what follows is read by it"
-        )
-        yield Problem(f"{prefix}_header_changed", f"{table.file}: {text}. Were files joined?", len(table.changed))
-    if table.headers:
-        lines = counted(table.headers, "header line")
-        text = f"{table.file}: {lines} once more between the rows; left out. Were files joined?"
-        yield Problem(f"{prefix}_header_again", text, table.headers)
+    """What to say of the table as a whole: a last row that was cut."""
     if table.cut:
         yield Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")
 

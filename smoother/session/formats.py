@@ -40,14 +40,14 @@ def preferred(used: str, others: Sequence[Path]) -> str:
 
 
 def _read_log(files: SessionFiles) -> Recording:
-    from smoother.session.log import list_recordings, read_log, read_mag_calibration, without_copies
+    from smoother.session.log import list_recordings, read_log, read_mag_calibration
 
     present = list_recordings(files.logs())
-    chosen, copies = without_copies(_choose(files, present))
+    chosen = _choose(files, present)
     log = read_log(chosen)
     field, calibration = read_mag_calibration(chosen, present)
     inputs = tuple(path.name for path in (*chosen.paths, *(() if calibration is None else (calibration,))))
-    file, problems = chosen.paths[0].name, [*log.problems, *copies]
+    file, problems = chosen.paths[0].name, list(log.problems)
     known = {path for recording in present for path in recording.paths}
     for path in (path for path in files.logs() if path not in known):
         problems.append(Problem("log_unusable", f"{path.name}: no whole block of a recording; left out"))

@@ -19,7 +19,6 @@ from smoother.session.files import OF_A_SESSION, OWN_NAMES, RESULTS, SessionFile
 from smoother.session.formats import FORMATS, Format, preferred
 from smoother.session.readers.unknown_table import about_table
 from smoother.session.recording import Recording, finish
-from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
 
 if TYPE_CHECKING:
     from smoother.session.log import LogFiles
@@ -36,11 +35,9 @@ def load_raw(path: Path) -> RawSession:
     """
     files = list_files(path)
     if (form := _format_of(files)) is not None:
-        recording = _read(files, form)
+        recording = form.read(files)
         problems = (*recording.problems, *_left_out(files, form, recording), *_no_files(files))
         return finish(files, replace(recording, problems=problems))
-    if (reason := unrecognised(files)) is not None:
-        raise SessionError(f"{path}: no recording found; {reason}")
     if files.imu_table() is not None:
         broken = "".join(f" ({name} is {kind})" for name, kind in files.no_files("gps.csv", "gps.csv.gz").items())
         raise SessionError(
@@ -68,16 +65,6 @@ def load_raw(path: Path) -> RawSession:
         raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
     broken = "".join(f" ({name} is {kind})" for name, kind in files.broken_recordings().items())
     raise SessionError(f"{path}: no recording found{broken}; wanted {wanted()}")
-
-
-def _read(files: SessionFiles, form: Format) -> Recording:
-    try:
-        return form.read(files)
-    except SessionError as error:
-        named = files.directory / str(error).partition(":")[0]
-        if named.is_file() and holds_only_zeros(named):
-            raise SessionError(f"{named.name}: {NEVER_WRITTEN}") from error
-        raise
 
 
 def _session_below(path: Path) -> Path | None:

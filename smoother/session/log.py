@@ -3,9 +3,8 @@
 A recording is every block with one session id, in whichever files of a directory they lie.
 """
 
-import filecmp
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from mmap import mmap
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from smoother.arrays import Array, IntArray
 from smoother.disc import contents, kept, pieces, release, roomy
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
-from smoother.session.log_decode import Blocks, Losses, decode
+from smoother.session.log_decode import Blocks, Losses, decode, find_blocks
 from smoother.session.log_format import (
     MAG_OVERFLOW,
     PURPOSE_MAG_CALIBRATION,
@@ -24,7 +23,6 @@ from smoother.session.log_format import (
     Setup,
 )
 from smoother.session.log_problems import describe
-from smoother.session.log_transfer import find_blocks_of_any
 from smoother.session.nmea import fixes_from_sentences
 from smoother.session.rows import in_time_order, is_all
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -95,31 +93,11 @@ def _files(session: int, parts: list[tuple[int, Path, Setup | None]]) -> LogFile
     return LogFiles(session, tuple(path for _, path, _ in parts), setups[0] if setups else None)
 
 
-def without_copies(files: LogFiles) -> tuple[LogFiles, list[Problem]]:
-    """Return a recording without files that are another of its files once more, and say which those were."""
-    kept_paths: list[Path] = []
-    problems = []
-    for path in files.paths:
-        twin = next((other for other in kept_paths if _is_alike(other, path)), None)
-        if twin is None:
-            kept_paths.append(path)
-        else:
-            problems.append(Problem("log_copy", f"{path.name}: byte by byte the same as {twin.name}; left out"))
-    return replace(files, paths=tuple(kept_paths)), problems
-
-
-def _is_alike(one: Path, other: Path) -> bool:
-    try:
-        return filecmp.cmp(one, other, shallow=False)
-    except OSError:  # what is wrong is said when it is read
-        return False
-
-
 def _head(path: Path) -> Blocks:
     """The blocks of its recording at the head of a file; where the head is damaged, all of them."""
-    blocks, _ = find_blocks_of_any(_first_bytes(path))
+    blocks, _ = find_blocks(_first_bytes(path))
     if len(blocks) == 0:
-        blocks, _ = find_blocks_of_any(_all_bytes(path))
+        blocks, _ = find_blocks(_all_bytes(path))
     return _own(blocks)
 
 
@@ -162,12 +140,10 @@ def _unreadable(path: Path, error: OSError) -> SessionError:
 
 def read_records(files: LogFiles) -> tuple[LogRecords, Losses]:
     """Return the records of a recording and what it lacks. Raises SessionError if a file cannot be read."""
-    found = [find_blocks_of_any(_all_bytes(path)) for path in files.paths]
+    found = [find_blocks(_all_bytes(path)) for path in files.paths]
     parts = [_of_session(blocks, files.session) for blocks, _ in found]
     all_blocks = parts[0] if len(parts) == 1 else Blocks.of(np.concatenate([p.content for p in parts if len(p)]))
-    records, losses = decode(all_blocks)
-    done = next((done for _, done in found if done), "")
-    return records, replace(losses, as_text=done) if done else losses
+    return decode(all_blocks)
 
 
 def read_log(files: LogFiles) -> LogRecording:

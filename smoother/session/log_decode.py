@@ -84,13 +84,12 @@ class Blocks:
 @dataclass(frozen=True)
 class Losses:
     """What a recording lacks. blocks: missing by their numbers; samples: of the IMU in them; unreadable: rest of a
-    block, of a newer version; duplicates: blocks that came twice; as_text: what a transfer as text did, "" for none."""
+    block, of a newer version; duplicates: blocks that came twice."""
 
     blocks: int = 0
     samples: int = 0
     unreadable: int = 0
     duplicates: int = 0
-    as_text: str = ""
 
 
 def find_blocks(data: bytes | mmap) -> tuple[Blocks, int]:

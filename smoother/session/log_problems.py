@@ -55,9 +55,6 @@ def describe(records: LogRecords, losses: Losses, file: str) -> list[Problem]:
 
 
 def _of_losses(losses: Losses) -> Iterator[tuple[str, str, int]]:
-    if losses.as_text:
-        text = f"it was copied as text, which {losses.as_text}; undone where the checksums prove it. Copy it as binary"
-        yield "log_copied_as_text", text, 1
     if losses.blocks > 0:
         samples = counted(losses.samples, "IMU sample")
         yield (

@@ -1,4 +1,4 @@
-"""Bytes of a table, made plain: unpacked, in UTF-8, with ends of lines, without comments and quotation marks.
+"""Bytes of a table, made plain: unpacked, in UTF-8, with ends of lines, without quotation marks.
 
 Knows what stands between cells, and nothing of columns.
 """
@@ -21,9 +21,6 @@ GZIP = zlib.MAX_WBITS | 16
 SEPARATORS = ",;\t"  # of as many the first
 _QUOTED = re.compile(rb'"([^"\n]*)"')  # ends with its line: a mark without a partner must not swallow the rows behind
 _LONE_RETURN = re.compile(rb"(?<=[^\r\n])\r(?=[^\r\n])")  # ends a line like those of old Macs, among others
-_TOLD_SEPARATOR = re.compile(
-    rb"(?i)^\s*(?:\xef\xbb\xbf)?\s*\"?sep=([^\r\n])\"?[ ,;\t]*\r?\n"
-)  # for Excel, above the header
 _DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
 
 
@@ -44,8 +41,7 @@ def plain_source(path: Path) -> Path | bytes:
         head = file.read(HEAD_BYTES)
     plain = not head.startswith(b"\x1f\x8b") and (b"\n" in head or b"\r" not in head)
     plain = plain and _LONE_RETURN.search(head) is None
-    plain = plain and wide_encoding(head) is None and not _starts_with_comment(head) and _is_utf8(path)
-    plain = plain and _TOLD_SEPARATOR.match(head) is None
+    plain = plain and wide_encoding(head) is None and _is_utf8(path)
     if plain:
         _require_lines(path)
     return path if plain else _plain_bytes(_whole(path), path.name)
@@ -110,42 +106,11 @@ def _whole(path: Path) -> bytes:
 
 
 def _plain_bytes(data: bytes, file: str) -> bytes:
-    """Gunzip (a damaged archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines; no comments
-    above the header, and no line that tells what stands between the cells."""
+    """Gunzip (a damaged archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines."""
     if data.startswith(b"\x1f\x8b"):
         data = _gunzip(data, file)
     data = in_utf8(data)
-    data = _LONE_RETURN.sub(b"\n", data) if b"\n" in data else data.replace(b"\r", b"\n")
-    data = _without_told_separator(data)
-    return _without_comments(data) if _starts_with_comment(data) else data
-
-
-def _without_told_separator(data: bytes) -> bytes:
-    """The table below a first line `sep=;`, as Excel has it; what it tells becomes a tab where no header shows it."""
-    told = _TOLD_SEPARATOR.match(data)
-    if told is None:
-        return data
-    table, separator = data[told.end() :], told[1]
-    return table if separator in SEPARATORS.encode() else table.replace(separator, b"\t")
-
-
-def _starts_with_comment(data: bytes) -> bool:
-    return data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"#"
-
-
-def _without_comments(data: bytes) -> bytes:
-    """The table below the lines that begin with `#`; the last of them is its header where a row follows it."""
-    end = 0
-    last = b""
-    while end < len(data):
-        line_end = data.find(b"\n", end) + 1 or len(data)
-        line = data[end:line_end].strip(b"\xef\xbb\xbf \t\r\n")
-        if line and not line.startswith(b"#"):
-            return (b"" if line[:1].isalpha() or line[:1] == b'"' else last) + data[end:]
-        if line and any(mark.encode() in line for mark in SEPARATORS):
-            last = line[1:] + b"\n"
-        end = line_end
-    return last
+    return _LONE_RETURN.sub(b"\n", data) if b"\n" in data else data.replace(b"\r", b"\n")
 
 
 def _gunzip(data: bytes, file: str) -> bytes:

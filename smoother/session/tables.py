@@ -28,14 +28,6 @@ from smoother.session.table_bytes import (
     text_head,
     unquoted,
 )
-from smoother.session.table_header import (
-    header_of,
-    others_of_name,
-    own_names,
-    parts_by_header,
-    unique_names,
-    written_name,
-)
 from smoother.words import UNREADABLE, listed
 
 LONG_FILE = 64 << 20  # bytes; an hour of samples. Longer ones are read in parts, which takes less memory
@@ -45,9 +37,9 @@ _ISO_FORMATS = tuple(
 )
 ENOUGH_LINES = 20  # to know how many cells a row has
 ODD_SHARE = 0.05  # of the characters of a damaged text; names in another encoding are far fewer
+_MADE_DIFFERENT = re.compile(r"_duplicated_\d+$")  # by polars
 _POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 NOTHING = re.compile(r"(?i)^(?:[-*?.]+|#?n[./]?a\.?|nil|null|none|nan)$")  # as programs write cells without a number
-_AGAIN = "header again"  # flag of the rows that are the header once more
 
 
 class NoRowsError(SessionError):
@@ -69,17 +61,6 @@ class _Wanted:
         return (*self.numbers, *self.times)
 
     @property
-    def placing(self) -> list[str]:
-        """The required columns and others of their names: a row without any of them is none."""
-        return [name for name in self.numbers if written_name(name) in self.required]
-
-    def of(self, line: str) -> "_Wanted":
-        """The same of what stands below another header line."""
-        header = header_of(line)
-        numbers, times = ([name for name in names if name in header] for names in (self.numbers, self.times))
-        return _Wanted(tuple(numbers), self.required, tuple(times), separator_of(line))
-
-    @property
     def flags(self) -> list[str]:
         """The columns of true and false: required cells that hold nothing, others that are not understood."""
         return [*(f"empty {name}" for name in self.required), *(f"unread {name}" for name in self.others)]
@@ -91,28 +72,12 @@ class _Wanted:
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells:
-    """What was read of a table or of a part of it.
-
-    frame : columns and flags of the rows. headers : how many lines were the header again. changed : numbers of the
-    lines, from 1, that are another header. header : the last one, by which what follows is to be read.
-    """
-
-    frame: pl.DataFrame
-    headers: int = 0
-    changed: tuple[int, ...] = ()
-    header: bytes | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class _Gathered:
-    """Columns and flags of a whole table by name, whether a last row was cut, and the rest as in :class:`_Cells`."""
+    """Columns and flags of a whole table by name, and whether a last row was cut."""
 
     columns: dict[str, Array]
     flags: dict[str, BoolArray]
     cut: bool
-    headers: int
-    changed: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +86,7 @@ class Table:
 
     `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
     `unread` counts, for each optional column, the cells that hold something which is no number, or no time.
-    `cut` : the last row was cut short, as by a loss of power, and is left out. `repeated` : names of columns that are
-    there more than once; the first of each that holds values is in `columns`, and `passed_over` has the names of those
-    that have an empty one before it. `headers` counts the lines between the rows that are the header once more, as of
-    files that were joined; they are no rows. `changed` : numbers of the lines that are a header of other columns, or of
-    another order; what is below is read by it.
+    `cut` : the last row was cut short, as by a loss of power, and is left out. Of columns of one name the first counts.
     """
 
     file: str
@@ -134,10 +95,6 @@ class Table:
     length: int
     unread: dict[str, int]
     cut: bool = False
-    repeated: tuple[str, ...] = ()
-    headers: int = 0
-    passed_over: tuple[str, ...] = ()
-    changed: tuple[int, ...] = ()
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -153,6 +110,27 @@ class Table:
             np.stack([column[part] for column in columns], axis=-1, out=out[part])
             release(out, columns)
         return out
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Trim and lower the header cells; a repeated or empty name gets a suffix no contract uses."""
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        plain = name.strip("\ufeff\x00 \t\r\n\"'").lower()
+        seen[plain] = seen.get(plain, 0) + 1
+        unique.append(plain if plain and seen[plain] == 1 else _repeated(plain, seen[plain]))
+    return unique
+
+
+def _own_names(names: Sequence[str]) -> list[str]:
+    """The same of names that polars has made different in its own way."""
+    return unique_names([_MADE_DIFFERENT.sub("", name) for name in names])
+
+
+def _repeated(name: str, number: int) -> str:
+    """What the column of a name is called that is the second of it, or of any other number."""
+    return f"{name} #{number}"
 
 
 def read_header(path: Path) -> tuple[str, ...]:
@@ -199,42 +177,14 @@ def read_table(
         raise NoRowsError(f"{path.name}: begins with {len(head)} zero bytes; was it ever written? Copy it again")
     _require_columns(path.name, header, required, head)
     _require_points(path.name, header, head)
-    numbers = _with_repeated((*required, *optional), header)
-    times = _with_repeated(iso_times, header)
+    numbers, times = (tuple(name for name in names if name in header) for names in ((*required, *optional), iso_times))
     wanted = _Wanted(numbers, tuple(required), times, separator_of(_header_line(path)))
     found = _gathered(path, wanted)
     if len(found.columns[required[0]]) == 0:
         raise NoRowsError(f"{path.name}: a header line, but no rows; was the recording started?")
-    return _table(path.name, found, wanted)
-
-
-def _with_repeated(names: Sequence[str], header: Sequence[str]) -> tuple[str, ...]:
-    """The columns of these names that a header has, each with the others of its name."""
-    return tuple(column for name in names if name in header for column in (name, *others_of_name(name, header)))
-
-
-def _table(file: str, found: _Gathered, wanted: _Wanted) -> Table:
-    """The table of what was gathered; of columns that have one name the first that holds values."""
-    used = {name: _column_used(name, found.columns) for name in wanted.names if name == written_name(name)}
-    columns = {name: found.columns[column] for name, column in used.items()}
-    empty, unread = {}, {}
-    for name, column in used.items():
-        if name not in wanted.required:
-            unread[name] = int(found.flags[f"unread {column}"].sum())
-        elif column == name:
-            empty[name] = found.flags[f"empty {name}"]
-        else:
-            empty[name] = ~(np.isfinite(columns[name]) | found.flags[f"unread {column}"])
-    repeated = tuple(name for name in used if others_of_name(name, wanted.names))
-    passed_over = tuple(name for name, column in used.items() if column != name)
-    length = len(columns[wanted.required[0]])
-    return Table(file, columns, empty, length, unread, found.cut, repeated, found.headers, passed_over, found.changed)
-
-
-def _column_used(name: str, columns: dict[str, Array]) -> str:
-    """The first column of a name that holds any number, or the first."""
-    others = others_of_name(name, tuple(columns))
-    return next((one for one in (name, *others) if others and np.isfinite(columns[one]).any()), name)
+    empty = {name: found.flags[f"empty {name}"] for name in required}
+    unread = {name: int(found.flags[f"unread {name}"].sum()) for name in wanted.others}
+    return Table(path.name, found.columns, empty, len(found.columns[required[0]]), unread, found.cut)
 
 
 def _require_columns(file: str, header: Sequence[str], required: Sequence[str], head: str) -> None:
@@ -301,10 +251,9 @@ def _gathered(path: Path, wanted: _Wanted) -> _Gathered:
         if isinstance(source, bytes) or path.stat().st_size <= LONG_FILE:
             if is_quoted:
                 source = unquoted(source.read_bytes() if isinstance(source, Path) else source, wanted.separator)
-            cells = _read_cells(source, wanted)
-            flags = {name: cells.frame[name].to_numpy() for name in wanted.flags}
-            columns = {name: _column(cells.frame, name) for name in wanted.names}
-            return _Gathered(columns, flags, cut, cells.headers, cells.changed)
+            frame = _read_cells(source, wanted)
+            flags = {name: frame[name].to_numpy() for name in wanted.flags}
+            return _Gathered({name: _column(frame, name) for name in wanted.names}, flags, cut)
         return _gathered_in_parts(path, wanted, end, cut, is_quoted)
     except pl.exceptions.PolarsError as error:
         raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
@@ -316,42 +265,24 @@ def _gathered_in_parts(path: Path, wanted: _Wanted, end: int, cut: bool, is_quot
     """The same of a long file, `end` bytes of which are rows: a part of it at a time is in memory."""
     growing = {name: Growing() for name in wanted.names}
     flags = {name: Growing(dtype=np.bool_) for name in wanted.flags}
-    headers, changed = 0, list[int]()
-    header, of_part = None, wanted
-    for begin, first_header, lines in _parts(path, end):
-        header = header or first_header
-        part = header + lines
-        cells = _read_cells(unquoted(part, of_part.separator) if is_quoted else part, of_part)
-        headers += cells.headers
+    for lines in _parts(path, end):
+        frame = _read_cells(unquoted(lines, wanted.separator) if is_quoted else lines, wanted)
         for name, column in growing.items():
-            column.add(_column(cells.frame, name))
+            column.add(_column(frame, name))
         for name, flag in flags.items():
-            flag.add(cells.frame[name].to_numpy())
-        if cells.header is not None:
-            before = _lines_before(path, begin) - 1  # of the part, whose header stands further up
-            changed += [before + line for line in cells.changed]
-            header, of_part = cells.header, wanted.of(cells.header.decode(errors="replace"))
+            flag.add(frame[name].to_numpy())
     columns = {name: column.rows for name, column in growing.items()}
-    return _Gathered(columns, {name: flag.rows for name, flag in flags.items()}, cut, headers, tuple(changed))
+    return _Gathered(columns, {name: flag.rows for name, flag in flags.items()}, cut)
 
 
-def _lines_before(path: Path, end: int) -> int:
-    """How many lines end within the first `end` bytes of a file."""
-    lines = 0
-    with path.open("rb") as file:
-        while data := file.read(min(PART_BYTES, end - file.tell())):
-            lines += data.count(b"\n")
-    return lines
-
-
-def _parts(path: Path, end: int) -> Iterator[tuple[int, bytes, bytes]]:
-    """The first `end` bytes of a file in parts of whole lines: where each begins, the header of the file, the lines."""
+def _parts(path: Path, end: int) -> Iterator[bytes]:
+    """The first `end` bytes of a file in parts of whole lines, each below the header."""
     with path.open("rb") as file:
         header = file.readline(LONGEST_LINE)
         while not header.strip() and (more := file.readline(LONGEST_LINE)):
             header = more
-        while lines := file.read(min(PART_BYTES, end - (begin := file.tell()))):
-            yield begin, header, lines + file.readline(min(LONGEST_LINE, end - file.tell()))
+        while lines := file.read(min(PART_BYTES, end - file.tell())):
+            yield header + lines + file.readline(min(LONGEST_LINE, end - file.tell()))
 
 
 def _end_of_rows(source: Path | bytes, separator: bytes) -> tuple[int, bool]:
@@ -389,8 +320,8 @@ def _length_cut(tail: bytes, separator: bytes) -> int:
     return len(last) if is_cut else 0
 
 
-def _read_cells(source: Path | bytes, wanted: _Wanted) -> _Cells:
-    """The columns and flags of a table: as numbers throughout, or else cell by cell, or below each of its headers."""
+def _read_cells(source: Path | bytes, wanted: _Wanted) -> pl.DataFrame:
+    """The columns and flags of a table: as numbers throughout, or else cell by cell."""
     nothing = [pl.lit(value=False).alias(f"empty {name}") for name in wanted.required]
     nothing += [
         pl.col(name).is_infinite().fill_null(value=False).alias(f"unread {name}")
@@ -400,33 +331,8 @@ def _read_cells(source: Path | bytes, wanted: _Wanted) -> _Cells:
     clean = _scan(source, wanted, wanted.numbers).select(*wanted.numbers, *_times(wanted), *nothing)
     frame = clean.collect(engine="streaming")
     if frame.select(wanted.numbers).null_count().sum_horizontal().sum() == 0:
-        return _Cells(frame)
-    frame = _lenient(source, wanted).collect(engine="streaming")
-    is_text = pl.any_horizontal(pl.col(name).is_null() & ~pl.col(f"empty {name}") for name in wanted.required)
-    if not frame.select((is_text & ~pl.col(_AGAIN)).any()).item():
-        return _without_headers(frame)
-    parts = parts_by_header(source.read_bytes() if isinstance(source, Path) else source, wanted.required)
-    return _without_headers(frame) if len(parts) == 1 else _below_headers(parts, wanted)
-
-
-def _without_headers(frame: pl.DataFrame) -> _Cells:
-    headers = int(frame[_AGAIN].sum())
-    return _Cells(frame.filter(~pl.col(_AGAIN)) if headers else frame, headers)
-
-
-def _below_headers(parts: Sequence[tuple[int, bytes]], wanted: _Wanted) -> _Cells:
-    """The parts of a table, each with its first line's number, by their own headers; what one has not is unknown."""
-    lines = [part.lstrip().partition(b"\n")[0] for _, part in parts]
-    cells = [
-        _read_cells(part, wanted.of(line.decode(errors="replace")))
-        for (_, part), line in zip(parts, lines, strict=True)
-    ]
-    kept = [one.frame.select(name for name in one.frame.columns if name != _AGAIN) for one in cells]
-    frame = pl.concat(kept, how="diagonal").with_columns(pl.col(pl.Boolean).fill_null(value=False))
-    missing = [pl.lit(None, pl.Float64).alias(name) for name in wanted.names if name not in frame.columns]
-    missing += [pl.lit(value=False).alias(name) for name in wanted.flags if name not in frame.columns]
-    headers, changed = sum(one.headers for one in cells), tuple(number for number, _ in parts[1:])
-    return _Cells(frame.with_columns(missing), headers, changed, lines[-1] + b"\n")
+        return frame
+    return _lenient(source, wanted).collect(engine="streaming")
 
 
 def _scan(source: Path | bytes, wanted: _Wanted, numbers: Sequence[str] = ()) -> pl.LazyFrame:
@@ -441,19 +347,18 @@ def _scan(source: Path | bytes, wanted: _Wanted, numbers: Sequence[str] = ()) ->
         truncate_ragged_lines=True,
         quote_char=None,
         encoding="utf8-lossy",
-        with_column_names=own_names,
+        with_column_names=_own_names,
     )
 
 
 def _lenient(source: Path | bytes, wanted: _Wanted) -> pl.LazyFrame:
     """The same from a file with cells that are padded, empty or no numbers; blank lines are left out."""
-    blank = {name: _is_blank(name) for name in wanted.placing}
+    blank = {name: _is_blank(name) for name in wanted.required}
     chosen = [
         *(_number(name).alias(name) for name in wanted.numbers),
         *_times(wanted),
         *(blank[name].alias(f"empty {name}") for name in wanted.required),
         *(_is_unread(name).alias(f"unread {name}") for name in wanted.others if name not in wanted.times),
-        pl.all_horizontal(_is_named(name) for name in wanted.names).alias(_AGAIN),
     ]
     return _scan(source, wanted).filter(~pl.all_horizontal(blank.values())).select(chosen)
 
@@ -469,11 +374,6 @@ def _number(name: str) -> pl.Expr:
 
 def _is_blank(name: str) -> pl.Expr:
     return _cell(name).is_null() | (_cell(name) == "")
-
-
-def _is_named(name: str) -> pl.Expr:
-    """Whether a cell holds the name of its column."""
-    return (_cell(name).str.to_lowercase() == written_name(name)).fill_null(value=False)
 
 
 def _is_unread(name: str) -> pl.Expr:

@@ -53,19 +53,6 @@ def test_a_clean_table_is_read_as_it_stands(tmp_path: Path) -> None:
     assert (imu.accel_scale, imu.gyro_scale) == (1.0, 1.0)
 
 
-def test_columns_of_one_name_are_said_where_the_first_of_them_is_used(tmp_path: Path) -> None:
-    header = IMU_HEADER.replace("gz", "gz,AX, ax ,note,note")
-    _, problems = read_imu(save(tmp_path, "\n".join([header, *(f"{row},1,2,x,y" for row in imu_rows(300))]), "imu.csv"))
-    assert [problem.text for problem in problems] == [
-        "imu.csv: ax: more than one column of that name; the first is used"
-    ]
-    header = GPS_HEADER.replace("fix", "fix,alt_m,utc,utc")
-    rows = [f"{row},99,," for row in gps_rows(30)]
-    fixes, problems = read_fixes(save(tmp_path, "\n".join([header, *rows]), "gps.csv"))
-    assert codes(problems) == {"gps_repeated_column": 2} and fixes.alt_m[0] == 8.5
-    assert problems[0].text.startswith("gps.csv: alt_m, utc: more than one column of each of these names; ")
-
-
 def test_byte_order_mark_spaces_capitals_line_ends_and_extra_columns_are_tolerated(tmp_path: Path) -> None:
     lines = ['T_S , AX,"ay",az,GX,gy,gz,note,', *(f" {row} ,x,y" for row in imu_rows(20))]
     plain, _ = read_imu(save(tmp_path, imu_table(imu_rows(20)), "plain.csv"))
@@ -252,16 +239,6 @@ def test_a_column_with_a_unit_in_each_cell_or_words_is_said_to_be_unread(tmp_pat
         ("gps_unread", "gps.csv: fix of 3 rows is no number; not used"),
     ]
     assert np.all(np.isnan(fixes.alt_m))
-
-
-def test_a_header_that_stands_between_the_rows_again_is_said_once(tmp_path: Path) -> None:
-    rows, again = gps_rows(40), f" {GPS_HEADER.upper()} "
-    fixes, problems = read_fixes(save(tmp_path, gps_table([*rows[:20], again, *rows[20:], again]), "gps.csv"))
-    assert [(problem.code, problem.count) for problem in problems] == [("gps_header_again", 2)]
-    assert problems[0].text == "gps.csv: 2 header lines once more between the rows; left out. Were files joined?"
-    assert len(fixes) == 40 and np.isfinite(fixes.alt_m).all()
-    imu, problems = read_imu(save(tmp_path, imu_table([*imu_rows(300), IMU_HEADER]), "imu.csv"))
-    assert codes(problems) == {"imu_header_again": 1} and imu.t.size == 300
 
 
 def test_a_row_with_some_of_the_names_is_a_damaged_row(tmp_path: Path) -> None:
@@ -502,89 +479,3 @@ def test_infinite_values_of_optional_columns_are_said(tmp_path: Path) -> None:
     (tmp_path / "gps.csv").write_text("\n".join(["t_s,lat_deg,lon_deg,alt_m", *rows]) + "\n")
     _, problems = read_fixes(tmp_path / "gps.csv")
     assert "gps.csv: alt_m of 6 rows is no number; not used" in [problem.text for problem in problems]
-
-
-@pytest.mark.parametrize("said", ["sep=;", "SEP=;\r", '"sep=;"', "\ufeffsep=;"])
-def test_a_line_that_tells_a_spreadsheet_the_separator_is_no_header(tmp_path: Path, said: str) -> None:
-    rows = [row.replace(",", ";").replace(".", ",") for row in gps_rows(30)]
-    text = "\n".join([said, GPS_HEADER.replace(",", ";"), *rows]) + "\n"
-    fixes, problems = read_fixes(save(tmp_path, text, "gps.csv"))
-    assert problems == [] and len(fixes) == 30
-    np.testing.assert_allclose(fixes.alt_m, 8.5)
-    wide, _ = read_fixes(save(tmp_path, text.encode("utf-16"), "gps.csv"))
-    np.testing.assert_array_equal(wide.lat_deg, fixes.lat_deg)
-
-
-def test_a_separator_that_only_such_a_line_tells_is_used(tmp_path: Path) -> None:
-    imu, problems = read_imu(save(tmp_path, "sep=|\n" + imu_table(imu_rows(300)).replace(",", "|"), "imu.csv"))
-    assert problems == [] and imu.t.size == 300
-
-
-@pytest.mark.parametrize("empty", ["", "nan", "--"])
-def test_of_columns_of_one_name_the_first_with_values_is_used(tmp_path: Path, empty: str) -> None:
-    header = GPS_HEADER.replace("lat_deg", "lat_deg,lat_deg,lat_deg").replace("alt_m", "alt_m,alt_m")
-    cells = [row.split(",") for row in gps_rows(30)]
-    rows = [",".join([t, empty, lat, "7", lon, empty, *rest]) for t, lat, lon, *rest in cells]
-    fixes, problems = read_fixes(save(tmp_path, "\n".join([header, *rows]) + "\n", "gps.csv"))
-    clean, _ = read_fixes(save(tmp_path, gps_table(gps_rows(30)), "gps.csv"))
-    np.testing.assert_array_equal(fixes.lat_deg, clean.lat_deg)
-    np.testing.assert_array_equal(fixes.alt_m, clean.alt_m)
-    assert [problem.text for problem in problems] == [
-        "gps.csv: lat_deg, alt_m: more than one column of each of these names; the first that is not empty is used"
-    ]
-
-
-def test_of_columns_that_all_stand_twice_the_empty_ones_are_passed_over(tmp_path: Path) -> None:
-    rows = [f",,,,,,,{row}" for row in imu_rows(300)]
-    imu, problems = read_imu(save(tmp_path, "\n".join([f"{IMU_HEADER},{IMU_HEADER}", *rows]) + "\n", "imu.csv"))
-    assert codes(problems) == {"imu_repeated_column": 7} and imu.t.size == 300
-
-
-def test_of_columns_of_utc_the_first_with_times_is_used(tmp_path: Path) -> None:
-    rows = [f"{row},,2024-05-31T10:00:{0.2 * k:05.2f}Z" for k, row in enumerate(gps_rows(30))]
-    fixes, _ = read_fixes(save(tmp_path, "\n".join([f"{GPS_HEADER},utc,utc", *rows]) + "\n", "gps.csv"))
-    assert np.isfinite(fixes.unix_s).all()
-
-
-def other_order(rows: list[str], order: list[int]) -> list[str]:
-    return [",".join(row.split(",")[i] for i in order) for row in rows]
-
-
-@pytest.mark.parametrize("order", [[0, 1, 2, 4, 5, 3, 6, 7, 8], [3, 8, 0, 2, 1, 4, 5, 6, 7], [0, 2, 1]])
-def test_a_header_of_another_order_names_the_columns_from_there_on(tmp_path: Path, order: list[int]) -> None:
-    rows = gps_rows(60)
-    lines = [*rows[:20], *other_order([GPS_HEADER.upper(), *rows[20:40]], order), GPS_HEADER, *rows[40:]]
-    fixes, problems = read_fixes(save(tmp_path, gps_table(lines), "gps.csv"))
-    clean, _ = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
-    for name in ("t", "lat_deg", "lon_deg"):
-        np.testing.assert_array_equal(getattr(fixes, name), getattr(clean, name))
-    for name, place in (("alt_m", 3), ("speed", 4), ("course_deg", 5)):
-        told = np.full(60, place in order) | (np.arange(60) < 20) | (np.arange(60) >= 40)
-        np.testing.assert_array_equal(getattr(fixes, name), np.where(told, getattr(clean, name), np.nan))
-    assert codes(problems) == {"gps_header_changed": 2}
-    assert problems[0].text == (
-        "gps.csv: line 22: a header line with other columns than before, and 1 more; what follows is read by it. Were "
-        "files joined?"
-    )
-
-
-def test_samples_below_a_header_of_another_order_are_read_by_it_in_a_long_file_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = imu_rows(900)
-    lines = [*rows[:300], *other_order([IMU_HEADER, *rows[300:]], [0, 4, 5, 6, 1, 2, 3])]
-    table = save(tmp_path, imu_table(lines), "imu.csv")
-    imu, problems = read_imu(table)
-    monkeypatch.setattr("smoother.session.tables.LONG_FILE", 10_000)
-    monkeypatch.setattr("smoother.session.tables.PART_BYTES", 5_000)
-    in_parts, of_parts = read_imu(table)
-    clean, _ = read_imu(save(tmp_path, imu_table(rows), "imu.csv"))
-    for found, said in ((imu, problems), (in_parts, of_parts)):
-        np.testing.assert_array_equal(found.accel, clean.accel)
-        np.testing.assert_array_equal(found.gyro, clean.gyro)
-        assert codes(said) == {"imu_header_changed": 1} and said[0].text.startswith("imu.csv: line 302: ")
-
-
-def test_a_header_of_fewer_columns_than_are_needed_is_a_damaged_row(tmp_path: Path) -> None:
-    _, problems = read_fixes(save(tmp_path, gps_table([*gps_rows(40), "lat_deg,t_s,alt_m,8,1,0,1,9,3"]), "gps.csv"))
-    assert codes(problems) == {"gps_invalid": 1}

@@ -7,7 +7,6 @@ import pytest
 
 from smoother.errors import SessionError
 from smoother.session.load import load_raw
-from smoother.session.log_format import MAGIC
 
 FIXES = "t_s,lat_deg,lon_deg\n" + "".join(f"{k / 5:.1f},{45 + 1e-4 * k:.7f},12\n" for k in range(50))
 
@@ -16,13 +15,6 @@ def refusal(folder: Path) -> str:
     with pytest.raises(SessionError) as error:
         load_raw(folder)
     return str(error.value)
-
-
-@pytest.mark.parametrize("name", ["gps.csv", "x.nmea", "x.vbo", "x.gpx", "x.klg", "out.txt", "aim.csv"])
-@pytest.mark.parametrize("size", [1, 5_000, 3_000_000])
-def test_a_file_of_nothing_but_zeros_was_never_written(tmp_path: Path, name: str, size: int) -> None:
-    (tmp_path / name).write_bytes(bytes(size))
-    assert refusal(tmp_path).endswith(f"{name}: only zero bytes: it was never written; copy it from the card again")
 
 
 @pytest.mark.parametrize(
@@ -47,11 +39,6 @@ def test_a_hole_beside_the_file_that_was_named_harms_nothing(tmp_path: Path) -> 
     assert len(load_raw(tmp_path / "a.csv").gnss) == 50
 
 
-def test_a_file_that_only_begins_with_zeros_is_not_said_to_be_empty(tmp_path: Path) -> None:
-    (tmp_path / "x.nmea").write_bytes(bytes(5_000) + b"nothing")
-    assert refusal(tmp_path) == "x.nmea: no NMEA sentence with a time (RMC, GGA, GNS)"
-
-
 def test_samples_that_were_never_written_leave_the_fixes(tmp_path: Path) -> None:
     (tmp_path / "gps.csv").write_text(FIXES)
     (tmp_path / "imu.csv").write_bytes(bytes(200_000))
@@ -59,12 +46,6 @@ def test_samples_that_were_never_written_leave_the_fixes(tmp_path: Path) -> None
     assert raw.imu is None and len(raw.gnss) == 50
     (said,) = [problem.text for problem in raw.problems if problem.code == "imu_empty"]
     assert said == "imu.csv: begins with 65536 zero bytes; was it ever written? Copy it again"
-
-
-@pytest.mark.parametrize("name", ["LOG00002.TXT", "imu.csv", "log.dat"])
-def test_a_log_of_the_logger_under_another_name_is_named(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_bytes(MAGIC + b"$GPRMC,100000.00,A" + bytes(range(256)) * 20)
-    assert refusal(tmp_path).endswith(f"no recording found; {name} is a log of the logger; call it *.klg")
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le"])
