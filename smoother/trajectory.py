@@ -110,8 +110,6 @@ BOX_ON_WHEEL = (
 IMU_SHAKEN = "imu_shaken"  # the problem of samples that the engine's vibration is folded into
 
 MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of axes that no mounting of a box explains
-STATED = "stated_wrong"  # problems of a delay, arm or mounting that is stated of a session, which contradicts it
-VELOCITY_EARLY = "gps_velocity_early"  # the problem of velocities that come before they are true, unlike positions
 
 
 @dataclass(frozen=True, eq=False)

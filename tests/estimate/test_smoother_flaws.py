@@ -198,15 +198,6 @@ class TestDegrading:
         assert found.report.mode == "full"
         assert ("imu_shaken" in [p.code for p in found.report.problems]) is is_said
 
-    @pytest.mark.parametrize(("density", "is_said"), [(3.0, False), (8.0, True)])
-    def test_rates_that_are_farther_off_than_gyroscopes_are_named(self, density: float, is_said: bool) -> None:
-        simulation = simulate_preset(
-            "white", 4, duration=100.0, motion_standstill=5.0, mag=None, imu_gyro_noise=density * DEG
-        )
-        found = GraphSmoother(GraphOptions()).estimate(prepare(simulation.raw))
-        assert found.report.mode == "full"
-        assert ("imu_rate_unsteady" in [p.code for p in found.report.problems]) is is_said
-
     def test_inertial_samples_that_end_half_way_leave_the_rest_to_the_fixes(self) -> None:
         simulation = simulate_preset("white", 4, duration=100.0, motion_standstill=5.0, mag=None)
         session = prepare(simulation.raw)

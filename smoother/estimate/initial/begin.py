@@ -1,6 +1,5 @@
 """What a session is before it is solved: on one clock, force and rate of one time, without pauses, and aligned."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from smoother.arrays import BoolArray
@@ -12,7 +11,7 @@ from smoother.estimate.preprocess.averages import averages_of
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Drift, fit_drift
 from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, in_step
 from smoother.estimate.preprocess.path_motion import sampled_at_speed
-from smoother.estimate.preprocess.pauses import Pauses, closed_up
+from smoother.estimate.preprocess.pauses import closed_up, pauses_of
 from smoother.estimate.preprocess.streams import Measured, compare_streams
 from smoother.samples import Problem, Session
 
@@ -44,21 +43,21 @@ class Begun:
         return self.start.alignment.share_explained
 
 
-def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
+def begin(given: Session, options: GraphOptions) -> Begun:
     """Begin with a session, without the positions of a receiver that had not settled."""
     early = unsettled(given)
     if not early.any():
-        return _on_one_clock(given, options, cut_out)
-    begun = _on_one_clock(without_positions(given, early), options, cut_out)
+        return _on_one_clock(given, options)
+    begun = _on_one_clock(without_positions(given, early), options)
     return replace(begun, problems=settling_problems(given.gnss.t, early), left_out=early)
 
 
-def _on_one_clock(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
+def _on_one_clock(given: Session, options: GraphOptions) -> Begun:
     """Begin with a session, corrected for a drift between the clocks of samples and fixes.
 
     A clock by which samples and fixes have less in common is none.
     """
-    begun = _begun(given, options, cut_out(given))
+    begun = _begun(given, options)
     for _ in range(PASSES):
         beyond = _drift(begun.clock.corrected(given), begun)
         if beyond is None:
@@ -67,8 +66,7 @@ def _on_one_clock(given: Session, options: GraphOptions, cut_out: Callable[[Sess
         if not (beyond.is_sure or drifts_on):
             return replace(begun, clock=begun.clock.without_more(beyond))
         clock = begun.clock.and_beyond(beyond, float(given.gnss.t[0]))
-        session = clock.corrected(given)
-        better = replace(_begun(session, options, cut_out(session)), clock=clock)
+        better = replace(_begun(clock.corrected(given), options), clock=clock)
         if not better.explains > begun.explains - LESS_EXPLAINED * drifts_on:  # a corrected one explains about as much
             return replace(begun, clock=begun.clock.without_more(beyond))
         begun = better
@@ -87,12 +85,13 @@ def _drift(session: Session, begun: Begun) -> Drift | None:
     return None if streams is None else fit_drift(streams)
 
 
-def _begun(given: Session, options: GraphOptions, pauses: Pauses) -> Begun:
-    """Begin with a session of one clock, of which pauses are cut out.
+def _begun(given: Session, options: GraphOptions) -> Begun:
+    """Begin with a session of one clock, and cut its pauses out.
 
     A nose that turns in and out of hairpins on its own makes a delay of the force too. It is none where the fixes,
     which have nothing to do with it, explain less of force and rate without it.
     """
+    pauses = pauses_of(given)
     given = closed_up(given, pauses) if len(pauses) else given
     session, delay = in_step(given) if options.in_step else (given, UNSEEN)
     # densities and constants are known to some per cent from two minutes of driving

@@ -17,9 +17,7 @@ from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, Session
 from smoother.trajectory import (
     MIRRORED_AXES,
-    STATED,
     UNLIKE_AXES,
-    VELOCITY_EARLY,
     Trajectory,
 )
 from smoother.units import DEG
@@ -135,18 +133,12 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
 
 
 def _named_reasons(session: Session, estimate: Trajectory) -> list[str]:
-    """What problems name that makes a result wrong by many sigmas which itself looks whole.
-
-    Axes that no mounting explains or that show nothing, and a stated mounting that is not that of the session, give
-    such attitudes; a wrong delay, such places and speeds.
-    """
-    in_any_mode = (STATED, VELOCITY_EARLY)
-    anyway = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in in_any_mode]
+    """Reasons of axes that no mounting explains or that show nothing: attitudes are wrong by many sigmas."""
     if estimate.report.mode != "full":
-        return anyway
+        return []
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
     dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code == DEAD_AXES]
-    return anyway + wrong + dead
+    return wrong + dead
 
 
 def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:

@@ -8,8 +8,8 @@ import pytest
 from smoother import so3
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare
+from smoother.estimate.output.problems import LEAST_EXPLAINED_OF_CHANGES
 from smoother.estimate.preprocess.path_motion import PathMotion
-from smoother.estimate.smoother import STRANGE_OF_CHANGES
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive
 from smoother.sim.scenario import ImuErrors
@@ -81,7 +81,7 @@ def test_samples_of_a_mirrored_box_are_not_of_the_drive(truth: Truth) -> None:
     imu = box(truth, np.eye(3), np.zeros(3))
     mirrored = replace(imu, specific_force_s=imu.specific_force_s * [1.0, -1.0, 1.0])
     rare = found(mirrored, fixes(truth, 5.0))
-    assert min(rare.turned, rare.moved) < STRANGE_OF_CHANGES
+    assert min(rare.turned, rare.moved) < LEAST_EXPLAINED_OF_CHANGES
 
 
 def test_a_straight_road_and_a_handful_of_fixes_tell_nothing(truth: Truth) -> None:

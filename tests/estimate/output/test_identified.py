@@ -17,8 +17,8 @@ from smoother.estimate.output.identified import field_values, identified_values
 from smoother.estimate.output.joint import WindowsJoint
 from smoother.estimate.output.mounting import FittedMounting
 from smoother.estimate.output.noise_uncertainty import NoiseUncertainty
+from smoother.estimate.output.problems import early
 from smoother.estimate.output.uncertainty import Uncertainty
-from smoother.estimate.smoother import _early, _velocities_early
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
@@ -177,17 +177,6 @@ def test_a_compass_that_is_not_used_has_no_values() -> None:
 @pytest.mark.parametrize(("value", "said"), [(-0.8, True), (-0.06, False), (0.1, False)])
 def test_fixes_that_come_before_they_are_true_are_named(value: float, said: bool) -> None:
     latency = Identified(value, 0.006, "s", True, "identified")
-    problems = _early({"gps_position_latency": latency})
+    problems = early({"gps_position_latency": latency})
     assert [p.code for p in problems] == (["gps_early"] if said else [])
-    assert not _early({"gps_position_latency": Identified(value, 0.25, "s", False, "default")})
-
-
-@pytest.mark.parametrize(
-    ("position", "velocity", "said"), [(0.6, -0.3, True), (-0.6, -0.5, False), (0.1, -0.04, False), (0.1, 0.6, False)]
-)
-def test_velocities_alone_that_come_before_they_are_true_are_named(
-    position: float, velocity: float, said: bool
-) -> None:
-    both = {"gps_position_latency": position, "gps_velocity_latency": velocity}
-    identified = {name: Identified(value, 0.02, "s", True, "identified") for name, value in both.items()}
-    assert [p.code for p in _velocities_early(identified)] == (["gps_velocity_early"] if said else [])
+    assert not early({"gps_position_latency": Identified(value, 0.25, "s", False, "default")})

@@ -9,7 +9,6 @@ import pytest
 from smoother.arrays import Array
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, with_samples_at
-from smoother.estimate.preprocess.pauses import pauses_of
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
@@ -37,7 +36,7 @@ def with_drift(session: Session, drift: float) -> Session:
 
 
 def found_in(session: Session) -> Clock:
-    return begin(session, GraphOptions().for_fixes(session.gnss.t), pauses_of).clock
+    return begin(session, GraphOptions().for_fixes(session.gnss.t)).clock
 
 
 @pytest.mark.parametrize("drift", [2e-4, -2e-4, 1e-3, 8e-3, -0.014])
