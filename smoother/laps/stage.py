@@ -101,7 +101,7 @@ def _of_beacon(recording: Path) -> tuple[float, ...]:
         return ()
     if not files or files[0][0] not in ("xrk", "table"):
         return ()
-    from smoother.session.readers.beacons import beacon_times
+    from smoother.session.readers.sets import beacon_times
 
     return beacon_times(*files[0])
 

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from smoother.errors import SessionError
-from smoother.session.encoding import in_utf8
-from smoother.session.readers.layout import Layout, layout_of
-from smoother.session.readers.unknown_table import about_table, has_times_only, holds_places
+from smoother.session.readers.layout import Layout, about_table, has_times_only, holds_places, layout_of
+from smoother.session.table_bytes import in_utf8
 from smoother.session.tables import read_header
 
 Foreign = Literal["xrk", "vbo", "gopro", "track", "ubx", "table", "fit"]

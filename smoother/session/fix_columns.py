@@ -1,6 +1,7 @@
-"""The columns every reader of fixes fills, before they are screened, and their places in rough metres."""
+"""The columns every reader of fixes fills, as checks see them, and their positions in rough metres."""
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -69,3 +70,30 @@ def way_from_before(c: FixColumns) -> Array:
     """Metres (N,) from the fix before to each, 0 for the first one; what fixes scatter by is in it."""
     north, east = metres(c)
     return np.append(0.0, np.hypot(np.diff(north), np.diff(east)))
+
+
+@dataclass(frozen=True, eq=False)
+class FixRows:
+    """Columns of fixes of one file.
+
+    has_rows_between : whoever read the file left out rows that its exporter interpolated between fixes.
+    """
+
+    columns: FixColumns
+    file: str
+    has_rows_between: bool = False
+
+    def stream(self, name: str) -> Any:
+        """Return the columns, None where no row is left."""
+        assert name == "fixes"
+        return self.columns if self.columns.t.size else None
+
+    def file_of(self, name: str) -> str:
+        """Return the name of the file."""
+        assert name == "fixes"
+        return self.file
+
+    def with_stream(self, name: str, rows: Any) -> "FixRows":
+        """Return the same with other columns."""
+        assert name == "fixes"
+        return replace(self, columns=rows)

@@ -17,7 +17,7 @@ from smoother.errors import SessionError
 from smoother.samples import Problem, RawSession
 from smoother.session.files import OF_A_SESSION, OWN_NAMES, RESULTS, SessionFiles, is_packed, list_files, wanted
 from smoother.session.formats import FORMATS, Format, preferred
-from smoother.session.readers.unknown_table import about_table
+from smoother.session.readers.layout import about_table
 from smoother.session.recording import Recording, finish
 
 if TYPE_CHECKING:

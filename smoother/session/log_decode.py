@@ -6,10 +6,11 @@ Nothing here raises on any bytes: a block that fails its CRC is lost, the others
 import struct
 import zlib
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from mmap import mmap
-from typing import Any, TypeVar
+from operator import eq
+from typing import Any, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +49,59 @@ from smoother.session.log_format import (
     Setup,
     Stop,
 )
-from smoother.session.log_sentences import Sentences
+
+SENTENCES_TOGETHER = 1 << 14  # sentences that are taken out at once
+
+
+class Sentences(Sequence[tuple[int, bytes]]):
+    """Pairs of time in us and text that behave like a tuple of them; held as columns, on the disc where they are many.
+
+    Filled by `extend` while a recording is decoded, and not changed after.
+    """
+
+    def __init__(self) -> None:
+        self._t_us, self._end, self._text = Growing(dtype=np.int64), Growing(dtype=np.int64), Growing(dtype=np.uint8)
+
+    def extend(self, sentences: Sequence[tuple[int, bytes]]) -> None:
+        """Append pairs of time in us and text."""
+        lengths = np.array([len(text) for _, text in sentences], dtype=np.int64)
+        self._end.add(len(self._text) + np.cumsum(lengths))
+        self._t_us.add(np.array([t_us for t_us, _ in sentences], dtype=np.int64))
+        self._text.add(np.frombuffer(b"".join(text for _, text in sentences), dtype=np.uint8))
+
+    def __len__(self) -> int:
+        return len(self._t_us)
+
+    @overload
+    def __getitem__(self, at: int) -> tuple[int, bytes]: ...
+    @overload
+    def __getitem__(self, at: slice) -> tuple[tuple[int, bytes], ...]: ...
+    def __getitem__(self, at: int | slice) -> tuple[int, bytes] | tuple[tuple[int, bytes], ...]:
+        rows = range(len(self))[at]
+        if isinstance(rows, int):
+            return self._between(rows, rows + 1)[0]
+        return tuple(self._between(row, row + 1)[0] for row in rows)
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        for some in pieces(len(self), SENTENCES_TOGETHER):
+            yield from self._between(some.start, some.stop)
+            release(self._t_us.rows, self._end.rows, self._text.rows)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and len(self) == len(other) and all(map(eq, self, other))
+
+    __hash__ = None  # type: ignore[assignment]  # it is filled bit by bit
+
+    def __repr__(self) -> str:
+        return repr(tuple(self))
+
+    def _between(self, first: int, last: int) -> list[tuple[int, bytes]]:
+        start = int(self._end.rows[first - 1]) if first else 0
+        ends = (self._end.rows[first:last] - start).tolist()
+        text = self._text.rows[start : start + ends[-1]].tobytes()
+        times = self._t_us.rows[first:last].tolist()
+        return [(t, text[begin:end]) for t, begin, end in zip(times, [0, *ends[:-1]], ends, strict=True)]
+
 
 Bytes = npt.NDArray[np.uint8]
 TOGETHER = 1 << 15  # blocks that are worked on together, 16 MB of them

@@ -20,10 +20,10 @@ import pynmea2
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
-from smoother.session.encoding import in_utf8
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
+from smoother.session.table_bytes import in_utf8
 from smoother.session.time_unit import in_seconds, unit_by_utc
 from smoother.session.velned import Velocities
 from smoother.units import DAY, KMH, KNOT

@@ -13,8 +13,8 @@ from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import RawSession
 from smoother.session.load import load_raw
-from smoother.session.readers.beacons import beacon_times
 from smoother.session.readers.child import KINDS, sheets_in
+from smoother.session.readers.sets import beacon_times
 from smoother.units import DEG, STANDARD_GRAVITY
 
 START = 1_778_925_600.0  # 2026-05-16T10:00:00Z

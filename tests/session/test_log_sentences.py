@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from smoother.session import log_sentences
-from smoother.session.log_sentences import Sentences
+from smoother.session import log_decode
+from smoother.session.log_decode import Sentences
 
 PAIRS = tuple((1000 * i, b"$" * (i % 7)) for i in range(50))
 
@@ -12,7 +12,7 @@ PAIRS = tuple((1000 * i, b"$" * (i % 7)) for i in range(50))
 @pytest.fixture
 def sentences(monkeypatch: pytest.MonkeyPatch) -> Sentences:
     """PAIRS, which came in three parts and are taken out eight at once."""
-    monkeypatch.setattr(log_sentences, "TOGETHER", 8)
+    monkeypatch.setattr(log_decode, "SENTENCES_TOGETHER", 8)
     made = Sentences()
     for part in (PAIRS[:20], (), PAIRS[20:]):
         made.extend(part)

@@ -7,8 +7,7 @@ import polars as pl
 import pytest
 
 from smoother.session.readers.cells import degrees_of, hemispheres_of, numbers_of, qualities_of
-from smoother.session.readers.dates import day_of, zone_offset
-from smoother.session.readers.times import put_together, read_days, read_moments, spread_evenly
+from smoother.session.readers.times import day_of, put_together, read_days, read_moments, spread_evenly, zone_offset
 
 DAY = dt.date(2026, 5, 16)
 AT_TEN = 1_778_925_600.0  # 2026-05-16T10:00:00Z

@@ -5,10 +5,9 @@ from functools import partial
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.session.checks.columns import FixRows
 from smoother.session.checks.table import Check, Finding, dropped
 from smoother.session.checks.velocity import VELOCITY_CHECKS
-from smoother.session.fix_columns import FixColumns, metres, sent_speed, way_from_before
+from smoother.session.fix_columns import FixColumns, FixRows, metres, sent_speed, way_from_before
 from smoother.session.interpolated import on_drawn_lines, rows_at_knots
 from smoother.words import counted
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.session.checks.columns import FixRows
 from smoother.session.checks.table import Check, Finding
-from smoother.session.fix_columns import FixColumns, metres, sent_speed
+from smoother.session.fix_columns import FixColumns, FixRows, metres, sent_speed
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
 

@@ -19,7 +19,6 @@ from smoother.session.fixes import interpolated_note
 from smoother.session.interpolated import rows_at_knots
 from smoother.session.readers.cells import degrees_of, hemispheres_of, qualities_of
 from smoother.session.readers.channels import channels_of
-from smoother.session.readers.dates import day_of
 from smoother.session.readers.foreign import ForeignReading, date_note, fixes_from, speed_unit_note, unread_note
 from smoother.session.readers.motion import imu_of
 from smoother.session.readers.names import ANGLE_UNITS
@@ -28,6 +27,7 @@ from smoother.session.readers.times import (
     CLOCK_PARTS,
     DATE_PARTS,
     Moments,
+    day_of,
     days_of_parts,
     moments_of_numbers,
     moments_of_parts,

@@ -17,8 +17,8 @@ import polars as pl
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.encoding import WIDE_BYTES, in_utf8, wide_encoding
 from smoother.session.readers.cells import Numbers, numbers_of
+from smoother.session.table_bytes import WIDE_BYTES, in_utf8, wide_encoding
 from smoother.words import counted
 
 BLOCK_BYTES = 4 << 20
