@@ -80,7 +80,9 @@ def _read(
     rows = checked.rows
     ordered = in_time_order(rows.t, rows.values, file=path.name, prefix=prefix)
     if any(problem.code.endswith("_clock_restart") for problem in ordered.problems):
-        raise SessionError(f"{path.name}: its clock started again, nobody knows beside which samples; split it there")
+        raise SessionError(
+            f"{path.name}: its clock started again, and its rows cannot be assigned to samples; split it there"
+        )
     problems = [*problems_of_table(table, prefix), *said, *of_rows, *ordered.problems]
     return _Rows(ordered.t, rows.values[ordered.index]), problems
 

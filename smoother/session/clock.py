@@ -206,7 +206,7 @@ def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
         text = f"{file}: samples come {rate:.0f} times a second for {span(lasts)}, {usual:.0f} times else"
         problems.append(Problem(f"{prefix}_rate_fell", text))
     if base.jitter > JITTER_WORTH_SAYING * base.period:
-        text = f"{file}: stamps jitter by {1e3 * base.jitter:.1f} ms rms; evened out"
+        text = f"{file}: times of samples scatter by {1e3 * base.jitter:.1f} ms rms; made even"
         problems.append(Problem(f"{prefix}_jitter", text))
     return problems
 

@@ -96,7 +96,7 @@ class _Tally:
     def problems(self, file: str) -> list[Problem]:
         twice = "written twice; the second dropped"
         if self.are_whole_seconds:
-            twice = "beside another fix of the same second; times without fractions do not tell them apart; dropped"
+            twice = "beside another fix of the same second; times without fractions cannot separate them; dropped"
         said = (
             ("gps_bad_checksum", self.checksum, "{} with a wrong checksum; dropped"),
             ("gps_bad_sentence", self.unreadable, "{} cut short or unreadable; dropped"),

@@ -26,7 +26,7 @@ def load_truth(directory: Path, origin: Origin) -> Trajectory:
     """
     path = next((directory / name for name in ("truth.csv", "truth.csv.gz") if (directory / name).is_file()), None)
     if path is None:
-        raise SessionError(f"{directory}: no truth.csv; accuracy can be told only against a reference")
+        raise SessionError(f"{directory}: no truth.csv; accuracy needs a reference")
     table = read_table(path, ("t_s",), (*GEODETIC, "alt_m", *LOCAL, *VELOCITY, *ANGLES))
     position_n = _position_n(table, origin)
     t = table.column("t_s")

@@ -96,9 +96,9 @@ def test_unknown_sigmas_and_a_truth_elsewhere_are_silently_wrong() -> None:
 
 
 def test_refusals_are_named_by_exit_code_and_first_reason() -> None:
-    quality = {"reasons": ["the kart leans by 4.2 deg: did the box move?", "more"]}
+    quality = {"reasons": ["the kart leans by 4.2 deg: did the logger move?", "more"]}
     far = compare(*tables(north_m=50.0))
-    assert verdict(outcome(3, quality=quality), far) == "exit 3: the kart leans by # deg: did the box move?"
+    assert verdict(outcome(3, quality=quality), far) == "exit 3: the kart leans by # deg: did the logger move?"
     assert verdict(outcome(2), None) == "exit 2"
     assert verdict(outcome(1), None) == "exit 1"
 

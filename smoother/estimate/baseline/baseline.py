@@ -96,7 +96,8 @@ _NO_MAGNETOMETER = Problem(
 )
 _NO_NORTH = Problem("baseline_no_north", "too little motion to find north; the baseline's heading is arbitrary")
 _NO_FORWARD = Problem(
-    "baseline_no_forward", "too little motion to find forward; the baseline takes the box's x axis for the kart's"
+    "baseline_no_forward",
+    "too little motion to find forward; the baseline assumes that the x axis of the logger points forward",
 )
 
 

@@ -171,7 +171,7 @@ def _unknown_delay(latency_sigma: float) -> tuple[Problem, ...]:
     if latency_sigma == 0.0:
         return ()
     text = (
-        f"without a usable motion sensor nothing tells how late the fixes are: all times may be off by a constant, "
+        f"without a usable motion sensor the latency of the fixes is unknown: all times may be off by a constant, "
         f"usually up to {latency_sigma:.2g} s; laps, line and speeds are the same. `position_latency` in session.toml "
         "states it"
     )

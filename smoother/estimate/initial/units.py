@@ -33,10 +33,10 @@ def in_known_units(raw: RawSession) -> RawSession:
         return raw
     force, turn = found.gains.force_scale, found.gains.turn_scale
     if force < LIKELY_FORCE[0] or force > LIKELY_FORCE[1]:
-        return _without_imu(raw, f"the box feels {force:.3g} times gravity; are ax, ay, az in m/s^2?")
+        return _without_imu(raw, f"the sensor measures {force:.3g} times gravity; are ax, ay, az in m/s^2?")
     if not (turn < LIKELY_TURN[0] or turn > LIKELY_TURN[1]):  # NaN: not explained
         return raw
-    text = f"the box turns {turn:.3g} times as fast as the course of the fixes"
+    text = f"the turn rates are {turn:.3g} times that of the course of the fixes"
     unit = next((name for name, size in TURN_UNITS.items() if abs(turn / size - 1.0) < SAME_UNIT), None)
     if unit is None:
         return _without_imu(raw, f"{text}; are gx, gy, gz in rad/s?")

@@ -42,7 +42,9 @@ _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_fol
 SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at all have sent one
 WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
-FARTHER_AWAY = "move the box farther from the engine"  # not onto something soft: what shakes by itself is not the kart
+FARTHER_AWAY = (
+    "mount the logger farther from the engine"  # not onto something soft: what shakes by itself is not the kart
+)
 _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # of the reader, judged below by themselves
 
 
@@ -152,7 +154,7 @@ def _why_useless(problems: tuple[Problem, ...]) -> str:
 
 
 def _only_gnss(problems: tuple[Problem, ...]) -> _Part:
-    text = f"{_why_useless(problems)}; the GPS alone tells no roll, pitch or sideslip"
+    text = f"{_why_useless(problems)}; the GPS alone gives no roll, pitch or sideslip"
     return _Part([Finding("warning", "IMU", text)], {})
 
 
@@ -248,7 +250,7 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
             yield Finding("stop" if share > limits.clipped_stop else "warning", "IMU", text)
     accel, gyro = measures["accel_vibration_mps2"], measures["gyro_vibration_dps"]
     strong = accel > limits.accel_vibration or gyro * DEG > limits.gyro_vibration
-    remedy = "; mount the box to the frame, away from the engine" if strong else ""
+    remedy = "; mount the logger on the frame, away from the engine" if strong else ""
     yield Finding("warning" if strong else "ok", "IMU", f"vibration {accel:.1f} m/s² and {gyro:.0f} deg/s rms{remedy}")
     gravity, (low, high) = measures["slow_force_mps2"] / STANDARD_GRAVITY, limits.gravity
     if not low <= gravity <= high:
@@ -293,7 +295,7 @@ def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
         problems = without_the_wheels(problems)
     findings = [Finding("stop", "IMU", problem.text) for problem in problems]
     if not findings and is_steered:
-        text = "the box turns with the steering wheel; roll, yaw and sideslip are the wheel's: mount it on the frame"
+        text = "the logger turns with the steering wheel; roll, yaw and sideslip are the wheel's: mount it on the frame"
         findings.append(Finding("warning", "IMU", text))
     return _Part(findings, {})
 

@@ -125,7 +125,7 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     release(estimate)
     reasons = [] if finite else ["some rows have no position or velocity"]
     if len(session.gnss) < limits.fewest_fixes:
-        reasons.append(f"{counted(len(session.gnss), 'fix')} can not tell how the kart went")
+        reasons.append(f"only {counted(len(session.gnss), 'fix')}: too few for a path")
     measures |= _attitude_measures(session, estimate, limits) | _standing(session, estimate, limits)
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
     reasons += _residual_reasons(estimate, limits) + _named_reasons(session, estimate)
@@ -341,27 +341,29 @@ def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list
         reasons.append(f"the heading is not known (sigma {sigma / DEG:.0f} deg): the kart hardly drove")
     step = measures.get("largest_lean_step_rad", 0.0)
     if step > limits.lean_step:
-        reasons.append(f"the kart seems to stand {step / DEG:.0f} deg askew from some time on: did the box move?")
+        reasons.append(f"the kart seems to stand {step / DEG:.0f} deg askew from some time on: did the logger move?")
     creep = measures.get("lean_creep_rad", 0.0)
     if creep > limits.lean_creep and not step > limits.lean_step:
-        reasons.append(f"the kart seems to stand more and more askew, {creep / DEG:.0f} deg in all: did the box slip?")
+        reasons.append(
+            f"the kart seems to stand more and more askew, {creep / DEG:.0f} deg in all: did the logger slip?"
+        )
     rattling = measures.get("rattling_s", 0.0)
     if rattling > limits.rattle_seconds:
-        reasons.append(f"the kart seems to rock from side to side for {rattling:.0f} s: was the box loose?")
+        reasons.append(f"the kart seems to rock from side to side for {rattling:.0f} s: was the logger loose?")
     overturned = measures.get("overturned_rad", 0.0)
     if overturned > limits.overturned:
         reasons.append(
-            f"the kart seems to drive {overturned / DEG:.0f} deg off level: are the axes of the samples, and those "
-            "stated for the box, right?"
+            f"the kart seems to drive {overturned / DEG:.0f} deg off level: are the axes of the samples, and the "
+            "stated mounting, right?"
         )
     elif (overturned := measures.get("overturned_stretch_rad", 0.0)) > limits.overturned:
         reasons.append(
             f"the kart seems to drive {overturned / DEG:.0f} deg off level for {limits.lean_seconds:.0f} s and more: "
-            "did the box move?"
+            "did the logger move?"
         )
     share = measures.get("sideways_share", 0.0)
     if share > limits.sideways_share:
-        reasons.append(f"the kart seems to drive sideways for {100.0 * share:.0f} % of the way: did the box move?")
+        reasons.append(f"the kart seems to drive sideways for {100.0 * share:.0f} % of the way: did the logger move?")
     return reasons
 
 

@@ -35,7 +35,7 @@ from smoother.trajectory import (
 
 OUTAGE = 10.0  # s without a fix
 ON_WHEEL = (
-    "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
+    "the logger turns with the steering wheel: roll, yaw and accelerations along its axes are those of the wheel; "
     "position, speed, lap times and accelerations along the path are not affected"
 )
 

@@ -23,7 +23,7 @@ STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no har
 STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
 ROUNDING = 1e-4  # m; steps below come from the conversion
 JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
-MADE_UP = "positions between fixes were made up along straight lines, by exporter or receiver"
+MADE_UP = "positions between fixes were interpolated along straight lines by exporter or receiver"
 
 
 def _searching(c: FixColumns) -> BoolArray:

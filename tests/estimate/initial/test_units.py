@@ -45,8 +45,8 @@ def test_a_gyroscope_in_a_known_unit_is_converted_and_said(kart: RawSession, gyr
 @pytest.mark.parametrize(
     ("accel", "gyro", "said"),
     [
-        (1.0, 0.1, "times as fast as the course of the fixes; are gx, gy, gz in rad/s?"),
-        (1.0, 10.0, "times as fast as the course of the fixes; are gx, gy, gz in rad/s?"),
+        (1.0, 0.1, "times that of the course of the fixes; are gx, gy, gz in rad/s?"),
+        (1.0, 10.0, "times that of the course of the fixes; are gx, gy, gz in rad/s?"),
         (2.0, 1.0, "times gravity; are ax, ay, az in m/s^2?"),
         (0.5, 1.0, "times gravity; are ax, ay, az in m/s^2?"),
     ],

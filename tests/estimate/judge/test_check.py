@@ -210,7 +210,7 @@ def test_a_motion_sensor_of_no_use_is_a_fault_of_the_own_logger_only(
         result = check(changed(kart, imu=None, inputs=files, problems=(problem,)))
         assert result.is_good == result.is_gps_only == (not is_own)
         if not is_own:
-            alone = f"{said}; the GPS alone tells no roll, pitch or sideslip"
+            alone = f"{said}; the GPS alone gives no roll, pitch or sideslip"
             assert [f.text for f in result.findings if f.topic in ("IMU", "file")] == [alone]
 
 
@@ -218,7 +218,7 @@ def test_the_page_says_of_a_motion_sensor_what_the_check_said(kart: RawSession) 
     problem = Problem("imu_too_slow", f"imu.csv: {SLOW}: smoothed from GPS alone")
     slow = changed(kart, imu=None, mag=None, inputs=("imu.csv", "gps.csv"), problems=(problem,))
     said = [f.text for f in recorded_check(prepare(slow)).findings if f.topic in ("IMU", "file")]
-    assert said == [f"{SLOW}; the GPS alone tells no roll, pitch or sideslip"]
+    assert said == [f"{SLOW}; the GPS alone gives no roll, pitch or sideslip"]
 
 
 def test_a_motion_sensor_that_is_not_read_is_not_called_missing(kart: RawSession) -> None:
@@ -235,7 +235,7 @@ def test_clipping_is_found_from_the_stated_range(kart: RawSession) -> None:
     clipped = np.clip(kart.imu.accel * kart.imu.accel_scale, -limit, limit)
     result = check(with_imu(kart, accel=clipped, accel_scale=1.0, accel_full_scale=limit))
     # not onto rubber or foam: what shakes by itself is not the kart (README, "Mount the box and the antenna")
-    told = "acceleration samples are clipped; set a wider range, or move the box farther from the engine"
+    told = "acceleration samples are clipped; set a wider range, or mount the logger farther from the engine"
     assert told in texts(result, "stop")
 
 
@@ -287,19 +287,19 @@ def test_gravity_that_clipped_vibration_bends_is_no_unit(kart: RawSession) -> No
     force[:, 2] = np.clip(force[:, 2], None, 50.0)
     found = check(with_imu(kart, accel=force, accel_scale=1.0, accel_full_scale=None))
     assert "another unit" not in texts(found, "stop")
-    told = "as where vibration is clipped; set a wider range, or move the box farther from the engine"
+    told = "as where vibration is clipped; set a wider range, or mount the logger farther from the engine"
     assert told in texts(found, "warning")
 
 
 def test_strong_vibration_is_a_warning_that_says_what_to_do(kart: RawSession) -> None:
     assert kart.imu is not None
     shaken = kart.imu.accel + np.random.default_rng(1).normal(0.0, 8.0 / kart.imu.accel_scale, kart.imu.accel.shape)
-    assert "mount the box to the frame" in texts(check(with_imu(kart, accel=shaken)), "warning")
+    assert "mount the logger on the frame" in texts(check(with_imu(kart, accel=shaken)), "warning")
 
 
 def test_a_box_on_the_steering_wheel_is_a_warning(kart: RawSession) -> None:
     wheel = simulate_preset("kart", 4, duration=90.0, motion_steering=10.0 * DEG).raw
-    said = "the box turns with the steering wheel"
+    said = "the logger turns with the steering wheel"
     assert said in texts(check(wheel), "warning") and check(wheel).is_good
     assert said not in texts(check(kart), "warning")
 
