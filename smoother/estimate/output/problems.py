@@ -25,20 +25,21 @@ SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it have latencies and arm 
 EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix cannot come before it is true
 
 UNLIKE = (
-    "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone. Is t_s of "
-    "both files on one clock? Where the delay of the fixes is known, state it: [gps] position_latency in session.toml"
+    "the inertial samples do not show the motion of the fixes; smoothed from the fixes alone. Is t_s of both files on "
+    "one clock? If the latency of the fixes is known, state it: [gps] position_latency in session.toml"
 )
 FAR_APART = (
-    "the inertial samples fit the fixes only with the antenna {:.1f} m from the box, which this motion can not tell "
-    "from late or averaged speeds; smoothed from the fixes alone. Does the logger average its speeds? Leave speed and "
-    "course out of the file. Are box and antenna that far apart? State it: [mounting] lever_arm_b in session.toml"
+    "the inertial samples fit the fixes only with the antenna {:.1f} m from the logger, which this motion cannot "
+    "separate from a latency or average of the speed; smoothed from the fixes alone. If the receiver averages its "
+    "speed, leave speed and course out of the file. If the antenna is that far away, state [mounting] lever_arm_b in "
+    "session.toml"
 )
 
 
 def too_few(imu: ImuSamples, fixes: GnssFixes) -> tuple[Problem, ...]:
     """Report samples and fixes that are too few, or too short a time together, to align one with the other."""
     if len(fixes) < FEWEST_FIXES:
-        text = f"{counted(len(fixes), 'fix')} can not tell how the box lies (at least {FEWEST_FIXES})"
+        text = f"{counted(len(fixes), 'fix')} are too few to find the mounting (at least {FEWEST_FIXES})"
         return (Problem("gps_too_few", f"{text}; smoothed from the fixes alone"),)
     together = _overlap(imu, fixes)
     if together <= 0.0:
@@ -55,7 +56,7 @@ def too_few(imu: ImuSamples, fixes: GnssFixes) -> tuple[Problem, ...]:
 
 
 def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:
-    """Longest time, s, that both cover without a hole."""
+    """Longest time, s, that both cover without a gap."""
     if len(imu.t) < 2:
         return 0.0
     first, last = np.clip(sampled_spans(imu.t), fixes.t[0], fixes.t[-1]).T
@@ -79,15 +80,15 @@ def too_far(session: Session, found: Estimated, alignment: Alignment) -> tuple[P
 
 
 def early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
-    """Report fixes that come before they are true: stamps of samples and fixes are then not on one clock."""
+    """Report fixes that arrive before they are true: stamps of samples and fixes are then not on one clock."""
     latency = identified["gps_position_latency"]
     if not (latency.observable and isinstance(latency.value, float) and isinstance(latency.sigma, float)):
         return ()
     if latency.value + EARLY_SIGMAS * latency.sigma > -EARLY:
         return ()
     text = (
-        f"the fixes seem to come {-latency.value:.2f} s before they are true: the samples' t_s is late by more than "
-        "that against theirs. Place and time are the samples'; with columns of your own, bring them onto one clock"
+        f"the fixes seem to arrive {-latency.value:.2f} s before they are true: the samples' t_s is late by more than "
+        "that against theirs. Times are those of the samples; with columns of your own, write both on one clock"
     )
     return (Problem("gps_early", text),)
 
@@ -95,15 +96,16 @@ def early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
 def shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
     """Report samples that are farther from the motion than any road pushes them.
 
-    An engine that turns nearly as often as samples are taken folds to the same push wherever the kart is at that speed.
-    Lap by lap it is correlated with the motion, as a latency or an arm is; white noise, which sigmas assume, is not.
+    Vibration of an engine near the sample rate is aliased to the same acceleration wherever the kart has that speed.
+    Lap by lap it is correlated with the motion, as a latency or a lever arm is; white noise, which sigmas assume, is
+    not.
     """
     density = noise.inertial.accel
     if session.config.imu.accel_noise is not None or density < SHAKEN:
         return ()
     text = (
-        f"the inertial samples are {density:.1f} m/s^2/sqrt(Hz) off the motion, as where the sampling folds the "
-        "engine's vibration into it: delays of the GPS and the antenna's place may be off by many times their sigma. "
-        "Damp the box, or sample faster with the sensor's low-pass filter on"
+        f"the accelerations differ from the motion by {density:.1f} m/s^2/sqrt(Hz), as with aliased engine vibration: "
+        "latencies and lever arm may be wrong by many times their sigma. Mount the logger farther from the engine, or "
+        "sample faster with the sensor's low-pass filter on"
     )
     return (Problem(IMU_SHAKEN, text),)
