@@ -34,7 +34,7 @@ DOCUMENTS = ("*.md", "docs/*.md", "firmware/README.md")
 # packages whose text is plain English already; a package joins when it is
 SOURCES = (
     *("*.py", "*.toml", "batch/*.py", "cli/*.py", "export/*.py", "fit/*.py", "laps/*.py", "live/*.py", "report/*.py"),
-    *("sim/*.py", "*/template/*"),
+    *("estimate/**/*.py", "session/**/*.py", "sim/*.py", "*/template/*"),
 )
 EXCUSED = "phrase: ok"
 

@@ -15,7 +15,7 @@ from smoother.calibration import FILE_NAME as CALIBRATION
 from smoother.calibration import find_calibration
 from smoother.errors import SmootherError, UsageError
 from smoother.session.files import RESULTS, SessionFiles, list_files
-from smoother.session.load import place_of_its_own
+from smoother.session.load import own_results_name
 from smoother.session.settings import load_settings
 
 OUTPUT_DIRECTORY = "smoothed"  # as `smooth SESSION` calls it
@@ -181,7 +181,7 @@ def _of_file(path: Path) -> Recording:
     if (one := next((one for one in recordings_in(path.parent) if one.path == path), None)) is not None:
         return one
     try:
-        name = place_of_its_own(path)
+        name = own_results_name(path)
     except SmootherError:  # what is wrong is said when the session is read
         name = ""
     return replace(_whole(list_files(path.parent)), path=path, name=name)

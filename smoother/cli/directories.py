@@ -38,9 +38,9 @@ def session_directory(path: Path) -> Path:
 
 def usual_output(path: Path) -> Path:
     """Return where results of a session go: SESSION/smoothed, of one of several recordings a folder in it."""
-    from smoother.session.load import place_of_its_own
+    from smoother.session.load import own_results_name
 
-    return session_directory(path) / OUTPUT_DIRECTORY / place_of_its_own(path)
+    return session_directory(path) / OUTPUT_DIRECTORY / own_results_name(path)
 
 
 def read_summary(directory: Path) -> dict[str, object] | None:

@@ -17,7 +17,7 @@ import numpy as np
 from smoother.estimate.fixes.agreement import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.fixes.reported_noise import unseen_wander
-from smoother.estimate.initial.begin import Begun, begin
+from smoother.estimate.initial.begin import AlignedSession, begin
 from smoother.estimate.initial.guess import Start
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.state import COLUMNS
@@ -77,8 +77,8 @@ class GraphSmoother:
         """Trajectory by the graph. Raises NotUsableError where samples and fixes do not fit."""
         options = self.options.for_fixes(given.gnss.t)
         with watch("align"):
-            begun = begin(given, options)
-        session, start = begun.session, begun.start
+            aligned = begin(given, options)
+        session, start = aligned.session, aligned.start
         _require_none(unlike(start.alignment))
         with watch("solve"):
             solved = solve(session, start, options, watch.say)
@@ -97,7 +97,7 @@ class GraphSmoother:
             )
         if self.keep is not None:
             self.keep(solved)
-        report = _completed_report(given, begun, solved, trajectory)
+        report = _completed_report(given, aligned, solved, trajectory)
         trajectory = replace(trajectory, report=replace(report, timings=watch.seconds))
         if not len(start.pauses):
             return trajectory
@@ -123,7 +123,9 @@ def with_problems(trajectory: Trajectory, problems: tuple[Problem, ...]) -> Traj
     return replace(trajectory, report=replace(report, problems=(*report.problems, *problems)))
 
 
-def _completed_report(given: Session, begun: Begun, solved: Solved, trajectory: Trajectory) -> EstimateReport:
+def _completed_report(
+    given: Session, aligned: AlignedSession, solved: Solved, trajectory: Trajectory
+) -> EstimateReport:
     """Report of the trajectory, with what was found before there was one."""
     report, start, found = trajectory.report, solved.start, solved.found
     return replace(
@@ -131,18 +133,18 @@ def _completed_report(given: Session, begun: Begun, solved: Solved, trajectory: 
         identified={
             **report.identified,
             **field_values(solved.heading, found),
-            "accel_delay": identified_delay(begun.delay),
-            "imu_clock_drift": begun.clock.identified(),
+            "accel_delay": identified_delay(aligned.delay),
+            "imu_clock_drift": aligned.clock.identified(),
         },
-        left_out=begun.left_out,
+        left_out=aligned.left_out,
         problems=(
             *start.alignment.problems,
             *report.problems,
             *solved.problems,
-            *shaken(begun.session, found.known.noise),
+            *shaken(aligned.session, found.known.noise),
             *early(report.identified),
-            *begun.problems,
-            *begun.clock.problems(float(np.ptp(given.gnss.t))),
+            *aligned.problems,
+            *aligned.clock.problems(float(np.ptp(given.gnss.t))),
         ),
     )
 

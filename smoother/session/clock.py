@@ -27,7 +27,7 @@ SMALLEST_STEP = 0.5  # periods
 STAYING_SHARE = 0.6  # of a step's height that the least lags before and after must differ by
 UNSTEADY_GAP = 4.0  # periods
 JITTER_WORTH_SAYING = 0.1  # periods; less is the rounding of stamps
-ENVELOPE_WINDOW = 256  # samples; late samples are made up for within it, lost ones never
+ENVELOPE_WINDOW = 256  # samples; late samples are followed by early ones within it, lost ones never
 EVEN_ENOUGH = 1e-3  # periods; stamps with less jitter are left as they are
 BLOCK_JITTER = 0.05  # periods; blocks are long enough for their mean to be this good ...
 SHORTEST_BLOCK = 32  # samples
@@ -156,7 +156,7 @@ def _evened(t: Array, line: Array, period: float) -> TimeBase:
 def _even(t: Array, lag: Array, steps: IntArray, block: int, period: float) -> Array | None:
     """Stamps with the lag smoothed between the steps; None if they are not increasing.
 
-    A step whose sides would overlap is none (late samples that were made up for) and is given up.
+    A step whose sides would overlap is none (late samples) and is dropped.
     """
     while True:
         even = t - lag + np.concatenate([_smooth(piece, block, period) for piece in np.split(lag, steps)])
@@ -306,7 +306,7 @@ def _steps_at_scale(lag: Array, window: int, period: float) -> list[int]:
 
 
 def _stays(lag: Array, step: int, since: int, height: float, period: float) -> bool:
-    """Whether the lag never falls back to what it was: samples that only arrived late are made up for.
+    """Whether the lag never falls back to what it was: late samples are followed by early ones.
 
     What it was before the step at `since` says nothing: after a hole any late sample is far above that.
     """
@@ -324,7 +324,7 @@ def _block_length(noise: float, period: float) -> int:
 def _smooth(lag: Array, block: int, period: float) -> Array:
     """Lag (N,) of a piece without steps, smoothed: a line through the means of blocks, extended at the ends.
 
-    Blocks that stick out by more than a period are samples that came late and were made up for.
+    Blocks that stick out by more than a period are late samples.
     """
     count = lag.size // block
     if count < 2:

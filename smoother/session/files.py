@@ -297,7 +297,7 @@ def _holds_fixes(path: Path) -> bool:
 
 
 def foreign_kind(path: Path) -> Foreign | None:
-    """Which other program's recording a file is; tables are told apart by their first lines."""
+    """Which other program's recording a file is; tables are distinguished by their first lines."""
     name = path.name.lower()
     if (kind := OF_SUFFIX.get(path.suffix.lower())) is not None:
         return kind

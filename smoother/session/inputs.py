@@ -30,7 +30,7 @@ BESIDE = (*SETTINGS, *OF_A_SESSION, *TRUTHS, "magcalib.txt", "mag_calib.txt", "t
 def inputs_of(path: Path) -> list[Path]:
     """Return the files that the session at `path` is read from, and those that stand for it beside them.
 
-    None where there is no session; what is wrong with it is said when it is read.
+    None where there is no session; errors are raised when it is read.
     """
     try:
         files = list_files(path)

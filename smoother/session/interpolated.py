@@ -49,7 +49,7 @@ def off_chord(t: Array, channels: Sequence[Array]) -> Array:
 def _moments(t: Array) -> tuple[Array, float]:
     """Return when rows stamped t (N,) s, rounded to milliseconds or finer, were made for, (N,) s, and how far off, s.
 
-    Of rows that come evenly the rounding is known, and taken out: at 7.5 Hz it comes back every third row, as fixes
+    The rounding of evenly spaced rows is known and removed: at 7.5 Hz it comes back every third row, as fixes
     between interpolated rows do.
     """
     in_milliseconds = np.max(np.abs(t / MILLISECOND - np.round(t / MILLISECOND))) < 2.0 * MICROSECOND / MILLISECOND

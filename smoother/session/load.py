@@ -30,7 +30,7 @@ MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
 def load_raw(path: Path) -> RawSession:
     """Read the session at `path`, a directory or one file of it.
 
-    Flaws that could be lived with are in `problems`. Raises SessionError, one line with file and remedy, where
+    Problems of a usable session are in `problems`. Raises SessionError, one line with file and remedy, where
     nothing usable is left: no known file, no fix, files on clocks that do not overlap; ConfigError for settings.
     """
     files = list_files(path)
@@ -130,7 +130,7 @@ def recording_on_card(file: Path) -> LogFiles | None:
     return next(mine, None) if len(found) > 1 else None
 
 
-def place_of_its_own(path: Path) -> str:
+def own_results_name(path: Path) -> str:
     """Return what the folder for the results of a file is called if it is one of several recordings, else ""."""
     if (on_card := recording_on_card(path)) is not None:
         return on_card.name

@@ -50,7 +50,7 @@ from smoother.session.log_format import (
     Stop,
 )
 
-SENTENCES_TOGETHER = 1 << 14  # sentences that are taken out at once
+SENTENCES_TOGETHER = 1 << 14  # sentences that are extracted together
 
 
 class Sentences(Sequence[tuple[int, bytes]]):
@@ -384,7 +384,7 @@ def _config(pieces: Sequence[bytes]) -> str:
 
 
 def _imu_gaps(octets: Bytes, position: IntArray, blocks: int) -> IntArray:
-    """Samples (K,) of the IMU that the gaps in each block tell of."""
+    """Lost samples (K,) of the IMU by the gaps in each block."""
     lost = np.zeros(blocks, dtype=np.int64)
     length = LONG_LAYOUT.itemsize + GAP_STRUCT.size
     for at in position[octets[position] == GAP].tolist():

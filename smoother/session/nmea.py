@@ -138,7 +138,7 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
     sentence is usable.
     """
     tally, velocities = _Tally(), Velocities()
-    sentences = _parse_all(velocities.taken_out_of(received), tally)
+    sentences = _parse_all(velocities.extracted_from(received), tally)
     timed = np.isfinite(sentences.time_of_day)
     if not np.any(timed):
         flaws = "; ".join(problem.text for problem in tally.problems(file))

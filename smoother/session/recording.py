@@ -105,7 +105,7 @@ def _missing_heights(recording: Recording) -> Iterator[Problem]:
 
 
 def _with_even_samples(recording: Recording) -> tuple[Recording, list[Problem]]:
-    """The inertial samples on an even time base; none, with the reason, if they are of no use."""
+    """The inertial samples on an even time base; none, with the reason, if they are unusable."""
     imu = recording.imu
     if imu is None:
         is_there = any(problem.code in (IMU_AXES_UNKNOWN, IMU_INCOMPLETE) for problem in recording.problems)

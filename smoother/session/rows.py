@@ -51,7 +51,7 @@ class _Said:
 def in_time_order(t: Array, *values: npt.NDArray[Any], file: str, prefix: str) -> Ordered:
     """Choose the rows that form one strictly increasing time axis.
 
-    t : (N,) s as written. values : columns by which rows of one time are told apart. Single rows out of order or
+    t : (N,) s as written. values : columns by which rows of one time are distinguished. Single rows out of order or
     repeated are dropped, or sorted in where they are missing (the first of a repeated time stays); a stray far-future
     stamp costs itself, not what follows it. Rows in another order that are one recording, sorted, are sorted. After a
     restart of the clock only the longest part is kept.

@@ -62,7 +62,7 @@ def in_seconds(t: Array, unit: str | None, prefix: str, file: str) -> tuple[Arra
     """Times t (N,) in seconds, and what to say of it."""
     if unit is None:
         return t, []
-    return t / UNITS[unit], [Problem(f"{prefix}_time_unit", f"{file}: its times are in {unit}; taken as such")]
+    return t / UNITS[unit], [Problem(f"{prefix}_time_unit", f"{file}: its times are in {unit}; converted")]
 
 
 def _are_whole_seconds(t: Array, period: float) -> bool:

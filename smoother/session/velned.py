@@ -44,7 +44,7 @@ class Velocities:
     def __init__(self) -> None:
         self._t, self._values = array("d"), array("d")
 
-    def taken_out_of(self, received: Iterable[tuple[float, bytes]]) -> Iterator[tuple[float, bytes]]:
+    def extracted_from(self, received: Iterable[tuple[float, bytes]]) -> Iterator[tuple[float, bytes]]:
         """Yield pairs of receive time s and bytes that are no velocity, and keep those that are, if they are whole."""
         for t, data in received:
             if not data.startswith(HEAD):

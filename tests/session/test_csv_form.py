@@ -204,7 +204,7 @@ def test_speed_in_another_unit_is_found_by_the_positions_and_converted(
     fixes, problems, speed = straight(tmp_path, factor, as_components)
     np.testing.assert_allclose(fixes.velocity_n[:, 0], speed, rtol=1e-4)
     assert [p.code for p in problems] == (["gps_speed_unit"] if unit else [])
-    assert all(f"times those of its positions, as if in {unit}; taken as such" in p.text for p in problems)
+    assert all(f"times those of its positions, as if in {unit}; converted" in p.text for p in problems)
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.7, 0.8, 1.25, 3.3])

@@ -154,8 +154,8 @@ def test_milliseconds_for_seconds_are_recognised_by_the_rate_of_the_imu(folder: 
     right = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv()).load()
     read = folder.write(imu__csv=imu_csv(1000, rate=0.1), gps__csv=gps_csv(50, rate=0.005)).load()
     told = {problem.code: problem.text for problem in read.problems}
-    assert told["imu_time_unit"] == "imu.csv: its times are in milliseconds; taken as such"
-    assert told["gps_time_unit"] == "gps.csv: its times are in milliseconds; taken as such"
+    assert told["imu_time_unit"] == "imu.csv: its times are in milliseconds; converted"
+    assert told["gps_time_unit"] == "gps.csv: its times are in milliseconds; converted"
     assert read.imu is not None and right.imu is not None
     np.testing.assert_allclose(read.imu.t, right.imu.t, atol=1e-9)
     np.testing.assert_allclose(read.gnss.t, right.gnss.t, atol=1e-9)

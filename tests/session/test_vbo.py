@@ -152,7 +152,7 @@ def test_times_may_be_seconds_of_the_day(tmp_path: Path, start: float) -> None:
     reading = read(tmp_path, vbo(rows))
     np.testing.assert_allclose(reading.gnss.t, 0.1 * np.arange(1200), atol=1e-6)
     assert reading.gnss.unix_s[0] % 86400 == pytest.approx(start)
-    assert "x.vbo: its times are seconds of the day; taken as such" in [problem.text for problem in reading.problems]
+    assert "x.vbo: its times are seconds of the day; read so" in [problem.text for problem in reading.problems]
 
 
 def test_times_that_are_none_are_refused_and_not_half_of_them_used(tmp_path: Path) -> None:
@@ -201,7 +201,7 @@ def test_positions_are_taken_in_the_form_that_the_velocities_fit(
     assert reading.gnss.lat_deg[0] == pytest.approx(45.7, abs=1e-6)
     assert reading.gnss.lon_deg[0] == pytest.approx(13.07043, abs=1e-5)
     told = [problem.text for problem in reading.problems if problem.code == "gps_position_form"]
-    assert told == ([] if said is None else [f"x.vbo: by its speeds and courses, {said}; taken as such"])
+    assert told == ([] if said is None else [f"x.vbo: by its speeds and courses, {said}; read so"])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from smoother.trajectory import EstimateReport, Trajectory
 
 
 class GpsAlone:
-    """What a plain GPS logger shows: straight lines between the fixes as they came, no latency taken out."""
+    """What a plain GPS logger shows: straight lines between the fixes as received, without correction of the
+    latency."""
 
     name = "GPS alone"
 

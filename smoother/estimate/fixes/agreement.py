@@ -10,7 +10,7 @@ A turn and a factor are undone. Courses that err by their direction are not used
 such a velocity is its speed, which is a measurement of its own.
 
 Errors of positions that belong to a place, as beside a wall that reflects, come again every lap and look like either,
-and those that last for seconds are told by several steps. The sigmas count both once.
+and those that last for seconds are in several steps. The sigmas count both once.
 """
 
 import math
@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from smoother.arrays import Array, IntArray, median
-from smoother.estimate.fixes.screen import MEDIAN_TO_SIGMA, says_velocity, unbroken_runs
+from smoother.estimate.fixes.screen import MEDIAN_TO_SIGMA, has_velocities, unbroken_runs
 from smoother.fit.spline import CubicSpline
 from smoother.samples import Problem, Session
 from smoother.units import DEG
@@ -94,7 +94,7 @@ def in_agreement(session: Session, found: Disagreement) -> Session:
     size = math.exp(found.value[FACTOR])
     velocity_n = np.column_stack([_turned(sent[:, :2], found.value[TURN]) * size, sent[:, 2]])
     if found.is_course_wrong:
-        speed = np.where(says_velocity(sent), size * np.hypot(sent[:, 0], sent[:, 1]), np.nan)
+        speed = np.where(has_velocities(sent), size * np.hypot(sent[:, 0], sent[:, 1]), np.nan)
         velocity_n[:, :2] = np.nan
     return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n, speed=speed))
 
@@ -168,7 +168,7 @@ class _Steps:
 def _steps_of(session: Session) -> _Steps | None:
     """Steps of a session, None where they are too few, or in too few places, to tell anything."""
     t, position_n, velocity_n = session.gnss.t, session.fix_position_n[:, :2], session.gnss.velocity_n[:, :2]
-    known = np.flatnonzero(says_velocity(position_n) & says_velocity(velocity_n))
+    known = np.flatnonzero(has_velocities(position_n) & has_velocities(velocity_n))
     runs = [rows for rows in unbroken_runs(t, known) if t[rows[-1]] - t[rows[0]] > 2.0 * STEP]
     parts = [
         _steps(t[rows], position_n[rows], velocity_n[rows]) for rows in runs if median(np.diff(t[rows])) < SLOWEST_FIXES

@@ -42,7 +42,7 @@ from smoother.trajectory import (
 
 UNUSUAL, UNUSUAL_SHARE, LEAST_UNUSUAL = 3.0, 95.0, 3.0  # times the percentile of what moves, m/s^2: no driving, a step
 STEP_REACH = 1.5  # fixes on either side of a step whose path it bends
-ANY_ARM = 0.5  # m, along each axis: of the antenna from a box whose place nobody knows, as of a graph's prior
+ANY_ARM = 0.5  # m, along each axis: of the antenna from a logger at an unknown position, as the prior of the graph
 ANY_TURN = np.pi / np.sqrt(3.0)  # rad, about each axis: any turn
 ACCEPTED = 0.5  # robust weight below which a fix counts as rejected
 
@@ -292,7 +292,7 @@ def _hidden(session: Session, path: GnssPath, offset: OffsetModel) -> Array:
 def _inertial(session: Session) -> dict[str, Identified]:
     """What only an IMU could show: as stated, else the values that leave out its part, NaN where there is none.
 
-    How the box lies nobody knows then, and the antenna is where such a box has it.
+    The mounting is unknown then, and the lever arm has its prior.
     """
     mounting, imu = session.config.mounting, session.config.imu
 

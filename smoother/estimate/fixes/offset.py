@@ -40,7 +40,7 @@ TIMES = 10.0  # taus that a session has to last to tell them
 KNOWN_TAU = 0.3  # sigma of a logarithm, half of what receivers' 30 to 100 s leave open beforehand
 # s, of receivers. What is forgotten sooner are reflections, which a lap brings back again and again. They are most of
 # what there is to see, and the receiver's own wander goes on unseen beside them: that it is not slower than what was
-# found is told only by a session that lasts for TIMES the longest.
+# found is observable only in a session of TIMES the longest.
 SHORTEST, LONGEST = 30.0, 100.0
 # m of white noise, below which one fix stands for its bin: a mean of a path that wanders by more than its fixes scatter
 # would wander less over a bin than over two, and seem to last longer.
@@ -104,7 +104,7 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     if path.wander > WILDER and has_doppler(path) and len(seen.t) >= FEWEST:  # by metres within seconds
         fit = fit_offset(seen, QUICK)
         return OffsetModel(usual.sigma * max(fit.sigma / usual.sigma[0], 1.0), fit.tau)
-    if not tells_offset(fixes_t, seen, path):
+    if not shows_offset(fixes_t, seen, path):
         if not is_filtered:
             return OffsetModel(usual.sigma * UNTOLD, usual.tau)
         is_rare = has_doppler(path) and follows_positions(fixes_t, path)
@@ -151,14 +151,14 @@ def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:
     return OffsetModel(usual.sigma * share, usual.tau)
 
 
-def tells_offset(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
+def shows_offset(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
     """Whether there are means and Doppler enough to say anything of the offset of the fixes, stamped fixes_t (M,) s."""
     return len(seen.t) >= FEWEST and has_doppler(path) and not follows_positions(fixes_t, path)
 
 
 def is_reported(fixes_t: Array, path: GnssPath) -> bool:
     """Whether the fixes of `path`, stamped fixes_t (M,) s, say anything of their offset."""
-    return tells_offset(fixes_t, drift_against_doppler(fixes_t, path), path)
+    return shows_offset(fixes_t, drift_against_doppler(fixes_t, path), path)
 
 
 def has_doppler(path: GnssPath) -> bool:
@@ -178,7 +178,7 @@ def follows_positions(fixes_t: Array, path: GnssPath) -> bool:
 
 
 def fit_offset(seen: Drift, axes: tuple[Array, Array, Array] = COARSE) -> OffsetFit:
-    """Return the offset of the highest likelihood; `seen` has to tell of one, see :func:`tells_offset`."""
+    """Return the offset of the highest likelihood; `seen` has to show one, see :func:`shows_offset`."""
     none = log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
     best = np.zeros(3)
     for _ in range(1 + FINER):

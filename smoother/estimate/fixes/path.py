@@ -90,7 +90,7 @@ class VelocityLag:
 class GnssMotion:
     """The path at some times: position_n m, velocity_n m/s, acceleration_n m/s^2 and offset_n m, each (N, 3).
 
-    position_n has the slow offset of the fixes taken out as far as Doppler shows it; `track_n` has it left in.
+    position_n is without the slow error of the fixes as far as Doppler shows it; `track_n` contains it.
     """
 
     position_n: Array
@@ -119,7 +119,7 @@ class GnssPathSigmas:
 
 @dataclass(frozen=True, eq=False)
 class GnssPath:
-    """The smoothed path and what was found out with it. K nodes, M fixes; times are true times, latency taken out.
+    """The smoothed path and its identified constants. K nodes, M fixes; times are corrected for latency.
 
     t (K,) s; position_n, velocity_n, acceleration_n, offset_n (K, 3); covariance (3, K, 4, 4) per axis of (position,
     velocity, acceleration, offset); velocity_cross (K,): of the velocities north and west. Per fix, NaN or weight 0

@@ -36,7 +36,7 @@ def plausible_positions(t: Array, position_n: Array, velocity_n: Array, has_velo
     good = _near_median(t, position_n[:, :2], 7, ABSURD_DISTANCE, ABSURD_SPEED)
     known = np.isfinite(position_n[:, :2]).all(axis=1) & good
     sent_n = np.where(has_velocity[:, None], velocity_n, np.nan)
-    measured = known & says_velocity(sent_n)
+    measured = known & has_velocities(sent_n)
     use_sent = most_say_velocity(sent_n[known])
     for rows in unbroken_runs(t, np.flatnonzero(measured if use_sent else known)):
         if rows.size >= FEWEST_FIXES and (use_sent or np.median(np.diff(t[rows])) <= QUICK):
@@ -68,14 +68,14 @@ def plausible_velocities(t: Array, velocity_n: Array) -> BoolArray:
     return _near_median(t, velocity_n[:, :2], 5, ABSURD_CHANGE, ABSURD_ACCELERATION)
 
 
-def says_velocity(velocity_n: Array) -> BoolArray:
+def has_velocities(velocity_n: Array) -> BoolArray:
     """Mask (M,) of the fixes that say how fast they move on the level: velocity_n (M, 2 or 3) m/s, NaN if unknown."""
     return np.asarray(np.isfinite(velocity_n[:, :2]).all(axis=1))
 
 
 def most_say_velocity(velocity_n: Array) -> bool:
     """Whether most of the fixes do: velocity_n (M, 2 or 3) m/s, NaN if unknown."""
-    return bool(np.count_nonzero(says_velocity(velocity_n)) > 0.5 * len(velocity_n))
+    return bool(np.count_nonzero(has_velocities(velocity_n)) > 0.5 * len(velocity_n))
 
 
 def _near_median(t: Array, values: Array, size: int, slack: float, rate: float) -> BoolArray:
@@ -111,7 +111,7 @@ def _of_one_rate(t: Array, rows: np.ndarray) -> list[np.ndarray]:
 def _steps(t: Array, position: Array) -> Array:
     """Velocity (M, 2) from positions (M, 2) to those STEP later; a jump spoils few of them, which the median outvotes.
 
-    From one to the next, quick fixes that scatter by a metre would tell of nothing but that.
+    Differences of neighbouring fixes at a high rate would show only their noise.
     """
     last = len(t) - 1
     after = np.minimum(np.arange(last) + max(1, round(STEP / float(np.median(np.diff(t))))), last)

@@ -1,4 +1,4 @@
-"""Fixes of a receiver that has just found its satellites: they come in from tens of metres off, by and by.
+"""Fixes of a receiver that has just found its satellites, which converge from tens of metres.
 
 After a start, or after a tunnel, positions may drift to the truth for a minute while the velocity is right at once.
 Taken for a slow error they would bend the rest of the session: no Gauss-Markov offset goes so far, so that the bias of
@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.fixes.screen import beside_dead_reckoning, running_median, says_velocity, unbroken_runs
+from smoother.estimate.fixes.screen import beside_dead_reckoning, has_velocities, running_median, unbroken_runs
 from smoother.samples import Problem, Session
 from smoother.words import counted, span
 
@@ -41,7 +41,7 @@ def unsettled(session: Session) -> BoolArray:
     """
     t, position_n, velocity_n = session.gnss.t, session.fix_position_n[:, :2], session.gnss.velocity_n[:, :2]
     out = np.zeros(len(t), dtype=np.bool_)
-    known = np.flatnonzero(np.isfinite(position_n).all(axis=1) & says_velocity(velocity_n))
+    known = np.flatnonzero(np.isfinite(position_n).all(axis=1) & has_velocities(velocity_n))
     unbroken = unbroken_runs(t, known)
     runs = [rows for rows in unbroken if t[rows[-1]] - t[rows[0]] > 2.0 * LATER]
     if 2 * sum(int(rows[-1] - rows[0]) + 1 for rows in unbroken) < len(t) or not runs:

@@ -197,7 +197,7 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
 
     The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
     added to the gyro's yaw, and held over standstills. A kart that spins while it slides on has no course to go by:
-    its nose is the gyro's alone, else the whole turn would be taken out of it and no solution would put it back. Where
+    its yaw is that of the gyroscope alone, else the rotation would be removed and no solution could restore it. Where
     samples are missing there are turns that the gyro has not seen, and the course alone has a say.
     """
     of_gyro = gyro_yaw(imu, alignment)

@@ -17,13 +17,14 @@ from smoother.samples import Problem, Session
 
 BARELY = 0.3  # sigmas, from which on a corrected drift is corrected again
 PASSES = 3  # of the clock, each of which is fitted to what the one before has left
-# of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
-# that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
+# of the explained share of rate and force; a latency of the force that reduces it by more is rejected. True ones change
+# it by +0.005 to -0.0015 (sideslip partly acts like a latency), hairpins that seemed to show one of 0.1 s by -0.006 to
+# -0.017.
 LESS_EXPLAINED = 0.003
 
 
 @dataclass(frozen=True, eq=False)
-class Begun:
+class AlignedSession:
     """A session with its samples on the clock of its fixes and its force at the time of its rate, and its start.
 
     clock: what was corrected. left_out (N,): fixes as given of which no position is used, None where all are;
@@ -43,49 +44,51 @@ class Begun:
         return self.start.alignment.share_explained
 
 
-def begin(given: Session, options: GraphOptions) -> Begun:
+def begin(given: Session, options: GraphOptions) -> AlignedSession:
     """Begin with a session, without the positions of a receiver that had not settled."""
     early = unsettled(given)
     if not early.any():
         return _on_one_clock(given, options)
-    begun = _on_one_clock(without_positions(given, early), options)
-    return replace(begun, problems=settling_problems(given.gnss.t, early), left_out=early)
+    aligned = _on_one_clock(without_positions(given, early), options)
+    return replace(aligned, problems=settling_problems(given.gnss.t, early), left_out=early)
 
 
-def _on_one_clock(given: Session, options: GraphOptions) -> Begun:
+def _on_one_clock(given: Session, options: GraphOptions) -> AlignedSession:
     """Begin with a session, corrected for a drift between the clocks of samples and fixes.
 
     A clock by which samples and fixes have less in common is none.
     """
-    begun = _begun(given, options)
+    aligned = _aligned(given, options)
     for _ in range(PASSES):
-        beyond = _drift(begun.clock.corrected(given), begun)
+        beyond = _drift(aligned.clock.corrected(given), aligned)
         if beyond is None:
-            return begun
-        drifts_on = begun.clock.drifts and abs(beyond.value) > BARELY * beyond.sigma
+            return aligned
+        drifts_on = aligned.clock.drifts and abs(beyond.value) > BARELY * beyond.sigma
         if not (beyond.is_sure or drifts_on):
-            return replace(begun, clock=begun.clock.without_more(beyond))
-        clock = begun.clock.and_beyond(beyond, float(given.gnss.t[0]))
-        better = replace(_begun(clock.corrected(given), options), clock=clock)
-        if not better.explains > begun.explains - LESS_EXPLAINED * drifts_on:  # a corrected one explains about as much
-            return replace(begun, clock=begun.clock.without_more(beyond))
-        begun = better
-    return begun
+            return replace(aligned, clock=aligned.clock.without_more(beyond))
+        clock = aligned.clock.and_beyond(beyond, float(given.gnss.t[0]))
+        better = replace(_aligned(clock.corrected(given), options), clock=clock)
+        if (
+            not better.explains > aligned.explains - LESS_EXPLAINED * drifts_on
+        ):  # a corrected one explains about as much
+            return replace(aligned, clock=aligned.clock.without_more(beyond))
+        aligned = better
+    return aligned
 
 
-def _drift(session: Session, begun: Begun) -> Drift | None:
+def _drift(session: Session, aligned: AlignedSession) -> Drift | None:
     """The drift that the streams of a session show, pauses included: clocks run on in these."""
-    alignment = begun.start.alignment
+    alignment = aligned.start.alignment
     if alignment.is_level_only:
         return None
     assert session.imu is not None
     measured = Measured(averages_of(session.imu), alignment.R_bs, alignment.gyro_bias_s)
-    path = replace(begun.start.driven, t=session.gnss.t)
+    path = replace(aligned.start.driven, t=session.gnss.t)
     streams = compare_streams(measured, path, sampled_at_speed(session.imu, path), alignment.lag)
     return None if streams is None else fit_drift(streams)
 
 
-def _begun(given: Session, options: GraphOptions) -> Begun:
+def _aligned(given: Session, options: GraphOptions) -> AlignedSession:
     """Begin with a session of one clock, and cut its pauses out.
 
     A nose that turns in and out of hairpins on its own makes a delay of the force too. It is none where the fixes,
@@ -101,5 +104,5 @@ def _begun(given: Session, options: GraphOptions) -> Begun:
         as_given = align(given.imu, start.driven).share_explained
         if as_given > start.alignment.share_explained + LESS_EXPLAINED:
             start = make_start(given, options, options.identification_span, pauses=pauses)
-            return Begun(given, start, UNSEEN)
-    return Begun(session, start, delay)
+            return AlignedSession(given, start, UNSEEN)
+    return AlignedSession(session, start, delay)

@@ -10,7 +10,7 @@ from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, follows_posi
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.model.imu import BinnedImu, tell_of_samples
+from smoother.estimate.model.imu import BinnedImu, mostly_sampled
 from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import SIZES
 from smoother.estimate.solvers.variance_components import OWN_SCATTER, SENSOR_SCALE, Scatter
@@ -87,7 +87,7 @@ def first_noise(
 
 def _density(binned: BinnedImu, bins: Array, floor: float) -> float:
     """Noise density of bins (K, n, 3) of `binned`: second differences of white noise have six times its variance."""
-    bins = bins if np.all(telling := tell_of_samples(binned.missing)) else bins[telling]
+    bins = bins if np.all(telling := mostly_sampled(binned.missing)) else bins[telling]
     if len(bins) > ENOUGH_BINS:  # a day: those within intervals, evenly taken, are as good
         some = bins[:: len(bins) // ENOUGH_BINS]
         second = some[:, 2:] - 2.0 * some[:, 1:-1] + some[:, :-2]
@@ -105,7 +105,7 @@ def scatter_of(binned: BinnedImu) -> Scatter:
     return Scatter(accel, gyro)
 
 
-# Velocities of fixes while the kart stands: what each of them tells of a bias that lasts through the session.
+# Velocities of fixes at rest: the weight of each for a bias that lasts through the session.
 
 LASTS = 20.0  # s for which all that lasts of a velocity's error counts as one
 LATER = 2.0  # s after which two velocities have in common what lasts

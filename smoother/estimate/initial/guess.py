@@ -23,7 +23,7 @@ from smoother.estimate.model.imu import BinnedImu, are_sampled, bin_imu, halved,
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
 from smoother.estimate.preprocess.on_wheel import is_on_wheel, without_the_wheels
-from smoother.estimate.preprocess.path_motion import MIN_SPEED, PathMotion, near_told
+from smoother.estimate.preprocess.path_motion import MIN_SPEED, PathMotion, near_reported
 from smoother.estimate.preprocess.pauses import NO_PAUSES, Pauses
 from smoother.estimate.solvers.identify import Problem
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
@@ -71,7 +71,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
     is_measured = most_say_velocity(session.gnss.velocity_n)
     moving = session.gnss.velocity_n if is_measured else session.fix_position_n
     told = np.asarray(np.isfinite(moving[:, :2]).all(axis=1))
-    is_reported = None if told.all() else near_told(session.gnss.t, told)
+    is_reported = None if told.all() else near_reported(session.gnss.t, told)
     driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_reported)
     alignment = align(session.imu, driven)
     is_steered = not alignment.is_misnamed and is_on_wheel(session.imu, session.gnss)

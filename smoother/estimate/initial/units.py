@@ -6,7 +6,7 @@ reads so many times gravity. A known unit of the gyroscope is converted. With an
 
 from dataclasses import replace
 
-from smoother.estimate.fixes.screen import says_velocity
+from smoother.estimate.fixes.screen import has_velocities
 from smoother.estimate.initial.align import Alignment, align
 from smoother.estimate.preprocess.path_motion import PathMotion
 from smoother.samples import GnssFixes, ImuSamples, Problem, RawImu, RawSession
@@ -46,7 +46,7 @@ def in_known_units(raw: RawSession) -> RawSession:
 
 def aligned(imu: RawImu, fixes: GnssFixes) -> Alignment | None:
     """Return how the box lies in the kart by the first ENOUGH samples, None without velocities."""
-    driven = says_velocity(fixes.velocity_n)
+    driven = has_velocities(fixes.velocity_n)
     if len(imu.t) < 2 or not driven.any():
         return None
     return align(beginning(imu), PathMotion(fixes.t[driven], fixes.velocity_n[driven]))

@@ -40,7 +40,7 @@ _WITH_SENSOR = (*_OWN_LOGGER, "imu.csv", "imu.csv.gz")  # ends of inputs that pr
 USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
 _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_folder")  # a sensor is there, but not read
 SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at all have sent one
-WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
+WHEEL_SAMPLES = 1 << 18  # used to detect a logger on the steering wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
 FARTHER_AWAY = (
     "mount the logger farther from the engine"  # not onto something soft: what shakes by itself is not the kart
@@ -86,7 +86,7 @@ class Finding:
 class Check:
     """All findings about a recording and the numbers behind them.
 
-    is_gps_only: its logger has no motion sensor, or another logger than this project's one that is of no use.
+    is_gps_only: there is no motion sensor, or the unusable one of another logger.
     """
 
     name: str
@@ -131,7 +131,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
 def _is_gps_only(raw: RawSession) -> bool:
     """Whether nothing better than fixes is to be had: a VBO, NMEA or GPX file, a sensor that is not made for this.
 
-    Of this project's own loggers a motion sensor of no use is a fault, as is one that is missing without a reason.
+    An unusable motion sensor of this project's logger is a fault, as is one that is missing without a reason.
     """
     if raw.imu is not None or _is_of(raw, _OWN_LOGGER):
         return False
@@ -365,7 +365,7 @@ def _extremes(values: Array) -> tuple[Array, Array]:
 
 
 def _repeated_ends(values: Array, lowest: Array, highest: Array, least: float) -> int:
-    """How many of (N, 3) samples, whose range nobody knows, repeat an extreme of their axis beyond `least`.
+    """How many of (N, 3) samples of unknown range repeat an extreme of their axis beyond `least`.
 
     At the end of its range a sensor repeats one and the same number, which noise far from zero all but never does.
     """

@@ -18,7 +18,7 @@ from smoother.samples import Session
 from smoother.trajectory import Keyframes, Trajectory
 from smoother.units import DEG
 
-LONGEST_LAG = 1.0  # s, of an estimate against a reference whose own delay nobody knows
+LONGEST_LAG = 1.0  # s, of an estimate against a reference of unknown latency
 VELOCITY_DOUBT = 0.5, 0.1  # m/s, and share of the speed, by which a truth's velocity may differ from its own positions
 TRUTH_GAP = 0.5  # s; between truth rows farther apart than this nothing is interpolated
 _AXES = ("north", "west", "up")

@@ -56,7 +56,7 @@ class QualityLimits:
     faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
     direction of travel, of the session or of any lean_seconds, beyond any banked track; by less, stated axes may be
     off a box that does not lie level.
-    near_seconds: of a fix, beyond which rows are not judged: where both sensors paused nobody knows what was between.
+    near_seconds: of a fix, beyond which rows are not judged: pauses of both sensors are unknown.
     fewest_fixes: that make a path at all.
     """
 
@@ -147,7 +147,7 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     t = session.gnss.t - (latency.value if latency is not None and isinstance(latency.value, float) else 0.0)
     inside = (t >= estimate.t[0]) & (t <= estimate.t[-1])
     if estimate.report.left_out is not None:
-        inside &= ~estimate.report.left_out  # the trajectory does not follow them, and it is said
+        inside &= ~estimate.report.left_out  # the trajectory does not follow them, which is reported
     inside &= ~_stray_at_rest(session, estimate, t, limits)
     if not inside.any():
         return {}
@@ -312,7 +312,7 @@ def _largest_step(values: Array, step: float, limits: QualityLimits) -> float:
 def _creep(values: Array, step: float, limits: QualityLimits) -> float:
     """By how much values (N,) rad, `step` s apart, go one way from first to last block; zero if not clearly.
 
-    The line is that of the means over blocks, and what they leave beside it is what it is told from.
+    The line is fitted to the means over blocks; their residuals are its noise.
     """
     block = max(1, round(limits.block_seconds / step))
     if values.size < max(2 * round(limits.lean_seconds / step), 5 * block):

@@ -20,7 +20,7 @@ from smoother.frames import GRAVITY_N
 from smoother.samples import BESIDE, ImuSamples, usual_steps
 
 GAP_FACTOR = 3.5  # a step longer than this many usual ones is a gap: nothing was measured in it
-MOSTLY_MISSING = 0.5  # share of an interval without samples, from which on its attitude is made up
+MOSTLY_MISSING = 0.5  # share of an interval without samples, above which its attitude is interpolated
 SLOW = 0.3  # s: what lasts longer may be the kart's motion, and
 NEARBY = 0.2  # s over which vibration is averaged
 ROUGHEST = 5.0  # times the usual power of vibration
@@ -158,13 +158,13 @@ def _over_mean(power: Array, missing: Array) -> Array:
 
     missing (N,): share of each interval without samples. Where there are none at all nothing shakes, nor is it calm.
     """
-    usual = power if np.all(telling := tell_of_samples(missing)) else power[telling]
+    usual = power if np.all(telling := mostly_sampled(missing)) else power[telling]
     with np.errstate(all="ignore"):
         share = power / usual.mean(axis=0)
     return np.where(np.isfinite(share), share, 1.0)
 
 
-def tell_of_samples(missing: Array) -> BoolArray:
+def mostly_sampled(missing: Array) -> BoolArray:
     """Mask of the intervals that figures of the samples are taken from: those that have some, all where few have none.
 
     missing (N,): share of each interval without samples.
@@ -324,8 +324,8 @@ def at_times(path: DensePath, values: Array, t: Array) -> Array:
     return np.stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])], axis=1)
 
 
-def are_told(missing: Array) -> BoolArray:
-    """Mask (K,) of the keyframes whose attitude samples tell, on one side at least; of others it is made up.
+def are_observed(missing: Array) -> BoolArray:
+    """Mask (K,) of the keyframes with samples on one side at least; attitudes of others are interpolated.
 
     missing (K-1,): share of each interval without samples.
     """
@@ -379,7 +379,7 @@ def motion_at(path: DensePath, t: Array) -> MotionAt:
 
 # Which times of a session the inertial samples cover, where that is not all of it: a sensor starts late or pauses.
 
-HOLE = 2.0  # s without samples; what is made up in shorter ones, samples on both sides keep near to what it was
+HOLE = 2.0  # s without samples; shorter gaps are interpolated accurately
 FEW = 0.05  # share of a session without samples that changes no figure of the others
 
 

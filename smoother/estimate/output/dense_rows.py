@@ -155,7 +155,7 @@ class DenseRows:
         for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, motion.velocity_n).items():
             self.sigmas[name][part] = values
 
-    def unsure_of_time(self, part: slice, sigma: float, of_attitude: float = 0.0) -> None:
+    def add_time_uncertainty(self, part: slice, sigma: float, of_attitude: float = 0.0) -> None:
         """Add what the kart goes and gains in `sigma` s to the sigmas of position, velocity and speed of `part`.
 
         of_attitude s: likewise what it turns. Less than all of the former: what filters may hold samples back by is

@@ -10,11 +10,11 @@ from smoother.config import SessionConfig
 from smoother.estimate.factors.graph import Priors
 from smoother.estimate.factors.rows import Rows, after_step
 from smoother.estimate.initial.guess import Start
-from smoother.estimate.model.imu import BinnedImu, are_told
+from smoother.estimate.model.imu import BinnedImu, are_observed
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, ROTATION, State
 from smoother.estimate.output.joint import ChainPositions
-from smoother.estimate.output.mounting import MIN_KEYFRAMES, are_driven
+from smoother.estimate.output.mounting import MIN_KEYFRAMES, are_at_speed
 from smoother.estimate.output.noise_uncertainty import NoiseUncertainty, noise_uncertainty
 from smoother.estimate.output.residual_statistics import inertial_statistics
 from smoother.estimate.output.uncertainty import Uncertainty, uncertainty_of
@@ -105,7 +105,7 @@ def rows_after(solution: Solution) -> dict[str, Rows]:
 def _fitted(state: State, unsampled: BoolArray | None) -> IntArray:
     """Keyframes that the mounting is fitted to, all where they are few."""
     sampled = np.ones(len(state.t), dtype=np.bool_) if unsampled is None else ~unsampled
-    driven = are_driven(state) & sampled
+    driven = are_at_speed(state) & sampled
     return np.flatnonzero(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else sampled)
 
 
@@ -149,5 +149,5 @@ def attitude_variance(found: Estimated, R_bs: Array, unsampled: BoolArray | None
 
 def without_samples(binned: BinnedImu) -> BoolArray | None:
     """Mask (K,) of the keyframes whose attitude no samples measure, None without any."""
-    sampled = are_told(binned.missing)
+    sampled = are_observed(binned.missing)
     return None if np.all(sampled) else ~sampled

@@ -40,7 +40,7 @@ def doubt_by_rates(gyro: float) -> float:
     return float(np.clip(math.log(max(gyro, 1e-12) / DOUBTED) / math.log(UNTOLD / DOUBTED), 0.0, 1.0))
 
 
-def unsure_moment(sampling: Sampling, stated: float | None, unsteady: float = 0.0) -> float:
+def sample_time_sigma(sampling: Sampling, stated: float | None, unsteady: float = 0.0) -> float:
     """Sigma, s, of when a sample of `sampling` is true; stated: its delay, s, where it is known.
 
     unsteady: in parts of UNSTEADY_DELAY, what delays miss where rates do not tell attitudes.
@@ -57,12 +57,12 @@ def identified_values(
     """Return each value by its name in `identified` of summary.json.
 
     Sigmas are those of the priors where the kart did not drive. unseen (3,) m^2: variance of the GPS offset beyond what
-    the session shows. sampling: see :func:`unsure_moment`.
+    the session shows. sampling: see :func:`sample_time_sigma`.
     """
     known = found.known
     unsteady = doubt_by_rates(known.noise.inertial.gyro)
     return {
-        **_of_the_receiver(found, config, unsure_moment(sampling, config.imu_delay, unsteady)),
+        **_of_the_receiver(found, config, sample_time_sigma(sampling, config.imu_delay, unsteady)),
         "lever_arm_b": _lever_arm(found, mounting, config, unsteady),
         "R_bs": _mounting(found, mounting, config),
         **_rectification(found),
@@ -113,7 +113,7 @@ def field_values(heading: Heading | None, found: Estimated) -> dict[str, Identif
 
 
 def _of_the_receiver(found: Estimated, config: SessionConfig, moment: float) -> dict[str, Identified]:
-    """Its latencies, and its response to a change of acceleration; moment: see :func:`unsure_moment`."""
+    """Its latencies, and its response to a change of acceleration; moment: see :func:`sample_time_sigma`."""
     state, known = found.state, found.known
     out: dict[str, Identified] = {}
     for name, configured in (
@@ -135,7 +135,7 @@ def _of_the_receiver(found: Estimated, config: SessionConfig, moment: float) -> 
 
 
 def _lever_arm(found: Estimated, mounting: FittedMounting, config: SessionConfig, unsteady: float) -> Identified:
-    """The arm from the IMU to the antenna, in b; unsteady: see :func:`unsure_moment`."""
+    """The arm from the IMU to the antenna, in b; unsteady: see :func:`sample_time_sigma`."""
     state, known = found.state, found.known
     geometry, prior = state.geometry, known.priors.constants["lever_arm"][1][0]
     covariance_s = _covariance(found, "lever_arm")

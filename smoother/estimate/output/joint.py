@@ -130,7 +130,7 @@ class WindowsJoint:
 
     Two times that one window holds, as those of a lap do, are as far apart in error as it says; others are independent.
     Which window is asked does not change the error of a single time, which is that of the window it counts in: a
-    difference of large numbers from two windows would tell of neither.
+    difference of large numbers from two windows would be meaningless.
     """
 
     windows: Sequence[WindowPositions]

@@ -4,8 +4,8 @@ A kart that neither slides nor leans points along its path and stands level. It 
 acceleration, so the mounting is what is left at zero acceleration: the intercept of a robust line through slip angle
 and roll over lateral acceleration, and through pitch over forward acceleration. A mean would carry the bias of a track
 with more turns to one side. Up is square to the road along the path, which climbs as the velocity does; across it roads
-are taken to be level on average. How far they are from level here and there says how well that can hold, and how well
-what leans by itself is told from ground that happens to fall to one side where a track bends.
+are taken to be level on average. Their deviations from level give the uncertainty of that assumption, and of the
+separation of lean from a crossfall in bends.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
-from smoother.estimate.model.imu import are_told
+from smoother.estimate.model.imu import are_observed
 from smoother.estimate.model.state import State
 from smoother.estimate.output.ground import CELL, Visits
 from smoother.estimate.preprocess.path_motion import MIN_SPEED
@@ -31,7 +31,7 @@ SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
 ROAD_SLOPE = 0.05  # of roads that lead from one place to another, where no height tells
 # What roll has of the place on level ground: kerbs that lift one side lap after lap, frames that do not give in
-# proportion. Up to 0.18 deg on the level tracks of a simulator of other making, 0.5 to 1.2 on those that are not
+# proportion. Up to 0.18 deg on the level tracks of an independent simulator, 0.5 to 1.2 on those that are not
 ROCKING = 0.2 * DEG
 # However steep some banks are, what a track falls by all the way round is for the water: 1.5 to 3 % along straights
 # (FIA, Appendix O to the International Sporting Code, 7.5)
@@ -67,7 +67,7 @@ class FittedMounting:
     by_wheels: bool = False
 
 
-def are_driven(state: State) -> BoolArray:
+def are_at_speed(state: State) -> BoolArray:
     """Mask (K,) of the keyframes at a speed that tells how the box lies in the kart."""
     level = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
     driven = level > 1.5 * MIN_SPEED
@@ -79,8 +79,8 @@ def fit_mounting(
 ) -> FittedMounting:
     """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed.
 
-    missing (K-1,): share of each interval without samples; in a hole of them attitudes are made up. height_sigma, m: of
-    the height from the first of them to the last; None where no fix has a height.
+    missing (K-1,): share of each interval without samples; in a gap of them attitudes are interpolated. height_sigma,
+    m: of the height from the first of them to the last; None where no fix has a height.
     """
     use = _are_fitted(state, missing)
     if np.count_nonzero(use) < MIN_KEYFRAMES:
@@ -160,8 +160,8 @@ def on_its_ground(
 
 def _are_fitted(state: State, missing: Array | None) -> BoolArray:
     """Mask (K,) of the keyframes that a mounting is fitted to: at speed, and told by samples."""
-    use = are_driven(state)
-    return use if missing is None else use & are_told(missing)
+    use = are_at_speed(state)
+    return use if missing is None else use & are_observed(missing)
 
 
 def _slope_sigma(state: State, driven: BoolArray, height_sigma: float | None) -> float:

@@ -15,7 +15,7 @@ from smoother.estimate.fixes.slow_errors import SlowErrors, slow_errors
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.output.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated
-from smoother.estimate.output.identified import doubt_by_rates, identified_values, unsure_moment
+from smoother.estimate.output.identified import doubt_by_rates, identified_values, sample_time_sigma
 from smoother.estimate.output.joint import WithUnseen, usual_change
 from smoother.estimate.output.kart_keyframes import keyframes_of_kart, widen
 from smoother.estimate.output.mounting import FittedMounting, swing_on_the_wheel
@@ -75,10 +75,10 @@ def build_trajectory(
     t = _times(session, pauses, rate)
     rows = DenseRows.empty(len(t))
     unsteady = doubt_by_rates(noise.inertial.gyro) if session.config.gps.position_latency is None else 0.0
-    moment = unsure_moment(sampling, session.config.imu_delay, unsteady)
+    moment = sample_time_sigma(sampling, session.config.imu_delay, unsteady)
     for part in parts_of(t, pauses):
         rows.fill(part, t[part], found, mounting, source, keyframes)
-        rows.unsure_of_time(part, moment, sampling.stamp_sigma)
+        rows.add_time_uncertainty(part, moment, sampling.stamp_sigma)
         release(rows, keyframes, binned)
     has_doppler = bool(np.isfinite(session.gnss.velocity_n[:, 0]).any())
     usual = median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()) if has_doppler else None

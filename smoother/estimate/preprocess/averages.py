@@ -63,7 +63,7 @@ def averages_of(imu: ImuSamples) -> Averages:
 
 
 def in_gap(sampled: Array, t: Array) -> BoolArray:
-    """Mask (N,) of times t s in a stretch without samples, or a second from it, where averages are made up.
+    """Mask (N,) of times t s in a stretch without samples, or a second from it, where averages are interpolated.
 
     sampled (M,) s: times of the samples.
     """

@@ -185,7 +185,7 @@ def utc_clock(session: Session, smoothed: Trajectory) -> UtcClock | None:
         return None
     start, late = float(smoothed.t[0]), 0.0
     latency = smoothed.report.identified.get("gps_position_latency")
-    if latency is not None and latency.observable and isinstance(latency.value, float) and _is_told(session.gnss):
+    if latency is not None and latency.observable and isinstance(latency.value, float) and _has_utc(session.gnss):
         late = latency.value
     return UtcClock(start, round(stamped.at(start) + late, 3), stamped.rate)
 
@@ -193,14 +193,14 @@ def utc_clock(session: Session, smoothed: Trajectory) -> UtcClock | None:
 def clock_of_fixes(session: Session) -> UtcClock | None:
     """UTC at which fixes were true, by their stamps; None where nothing tells it."""
     unix_s, t = session.gnss.unix_s, session.gnss.t
-    if unix_s is None or not _is_told(session.gnss):
+    if unix_s is None or not _has_utc(session.gnss):
         return None if session.unix_at_zero is None else UtcClock(0.0, session.unix_at_zero)
     slope, _ = _against_utc(session)
     rate = 1.0 / slope if abs(slope - 1.0) < BEYOND_BELIEF else 1.0
     return UtcClock(float(t[0]), float(np.nanmedian(unix_s - rate * (t - t[0]))), rate)
 
 
-def _is_told(fixes: GnssFixes) -> bool:
+def _has_utc(fixes: GnssFixes) -> bool:
     """Whether fixes say when they were true."""
     return fixes.unix_s is not None and bool(np.isfinite(fixes.unix_s).any())
 
@@ -212,7 +212,7 @@ def clock_problems(session: Session) -> tuple[Problem, ...]:
     if not max(WORTH_SAYING, READABLE / lasts) < off < BEYOND_BELIEF:
         return ()
     runs = f"{100.0 * off:.2g} % {'fast' if slope > 1.0 else 'slow'}"
-    mended = "; taken out of speeds and places" if off > CRYSTAL else ""
+    mended = "; corrected in speeds and positions" if off > CRYSTAL else ""
     text = f"the recording's clock runs {runs} against the receiver's UTC{mended}; t_s and lap times are in its seconds"
     return (Problem("clock_scale", f"{text}, of which a minute has {60.0 * slope:.2f}"),)
 

@@ -316,7 +316,7 @@ def _cubic(t: Array, values: Array, at: Array) -> Array:
 
 
 def identified(found: ForceDelay) -> Identified:
-    """What to report: the delay taken out; 0 where there is none, and how far off that may be."""
+    """The reported latency: the corrected one, or 0, with its sigma."""
     if found.is_found:
         return Identified(found.delay, found.sigma, "s", True, "identified")
     told = math.hypot(found.delay, found.sigma) if found.is_seen else math.inf

@@ -43,8 +43,8 @@ class PathMotion:
         return np.arctan2(self.velocity_n[:, 1], self.velocity_n[:, 0])
 
 
-def near_told(t: Array, told: BoolArray) -> BoolArray:
-    """Mask (N,) of times t (N,) s that are near one of which something is told (N,)."""
+def near_reported(t: Array, told: BoolArray) -> BoolArray:
+    """Mask (N,) of times t (N,) s near one with a reported value, mask (N,)."""
     return are_near(t, t[told], TOLD_NEAR)
 
 

@@ -3,7 +3,7 @@
 Nothing tells what happens in a pause of an hour, and a chain of keyframes through it costs as much as an hour of
 driving, with covariances that grow beyond the digits of a float. So time is closed up: a little of the pause is left on
 either side, and what is estimated does not go on from one side to the other (:mod:`smoother.estimate.output.windows`).
-Rows of the time that was cut out say that the kart is where it was, and that nobody knows.
+Rows of the removed time keep the position of the kart, with a large sigma.
 """
 
 from dataclasses import dataclass, field, replace
@@ -139,7 +139,7 @@ def _outside(pauses: Pauses, t: Array) -> list[slice]:
 def _kept(values: Array, keep: list[slice], removed: Array | None = None) -> Array:
     """Rows `keep` of values (N, ...), a piece at a time: a day of samples is in a file, and does not fit in memory.
 
-    removed (P,): times that are taken out between one slice and the next.
+    removed (P,): times removed between one slice and the next.
     """
     rows = roomy((sum(part.stop - part.start for part in keep), *values.shape[1:]))
     shifts = np.zeros(len(keep)) if removed is None else np.append(0.0, np.cumsum(removed))

@@ -1,4 +1,4 @@
-"""Checks of fixes: rows that are none, positions that jump, stand or were made up, values that nothing measures."""
+"""Checks of fixes: rows without a fix, positions that jump, repeat or were interpolated, and impossible values."""
 
 from functools import partial
 

@@ -140,7 +140,7 @@ def speed_unit(f: FixRows) -> Finding | None:
         blank = dict.fromkeys(("speed", "velocity_north", "velocity_east", "velocity_up"), every)
         return Finding(f"{text}; not used. What is their unit?", blank=blank)
     scale = dict.fromkeys(("speed", "velocity_north", "velocity_east"), 1.0 / UNIT_RATIOS[unit])
-    return Finding(f"{text}, as if in {unit}; taken as such", scale=scale, blank={"velocity_up": every})
+    return Finding(f"{text}, as if in {unit}; converted", scale=scale, blank={"velocity_up": every})
 
 
 def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:

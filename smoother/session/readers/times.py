@@ -127,7 +127,7 @@ DATE_PARTS, CLOCK_PARTS = ("year", "month", "day"), ("hour", "minute", "second")
 @dataclass(frozen=True, eq=False)
 class Moments:
     """One column: seconds (N,), NaN where unknown. Since 1970 where `has_date`, else of the day where `is_of_day`, else
-    since any moment. `unit` where a number of the last kind did not say: "". `has_zone` where UTC was told.
+    since any moment. `unit` of a number of the last kind, "" if unknown. `has_zone` where UTC is known.
     """
 
     seconds: Array
@@ -302,7 +302,8 @@ def _are_digits(known: Array) -> bool:
 
 
 def _of_text(cells: pl.Series) -> tuple[Array, bool, Array]:
-    """Seconds of the day (N,), of UTC where a zone is told; whether one is; midnight (N,) s since 1970; NaN if none."""
+    """Seconds of the day (N,), of UTC where a zone is given; whether one is; midnight (N,) s since 1970; NaN if
+    none."""
     cells = cells.str.replace(BASIC_CLOCK, "${1} ${2}:${3}:${4}")
     parts = cells.str.extract_groups(CLOCK).struct.unnest()
     hours, minutes = (_floats(parts[str(i)].cast(pl.Float64, strict=False)) for i in (1, 2))

@@ -98,7 +98,7 @@ def read_track(path: Path) -> ForeignReading:
     points, flaw = _Points(), None
     try:
         _stream(path, points)
-    except (ET.ParseError, LookupError, ValueError) as error:  # the latter two of encodings that nobody knows
+    except (ET.ParseError, LookupError, ValueError) as error:  # the latter two of unknown encodings
         flaw = f"{path.name}: broken XML ({error})"
     except OSError as error:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error

@@ -68,7 +68,7 @@ NEEDED = ("time", "lat", "lon")
 SATELLITE_BITS = 64  # and above: brake trigger and DGPS
 FEW_NO_TIMES, MOST_NO_TIMES = 0.1, 0.25  # share; in HHMMSS none is, and of seconds of the day 40 % and more look so
 MINUTES = 1.0 / 60.0  # of a degree
-OTHER_FORMS = {  # than minutes, to the west: what is to be multiplied with, and how it is said
+OTHER_FORMS = {  # than minutes, to the west: factors, and text
     (1.0, -1.0): "longitudes count to the east",
     (60.0, -60.0): "positions are in degrees, not minutes, and longitudes count to the east",
     (60.0, 60.0): "positions are in degrees, not minutes",
@@ -179,7 +179,7 @@ def _unique(names: Sequence[str]) -> list[str]:
 def _utc(file: str, clock: Array, cells: pl.Series | None) -> tuple[Array, list[Problem]]:
     """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number, NaN where that is no time.
 
-    Where seconds beyond 60 show that they are seconds of the day, they are taken as such, and said. Raises SessionError
+    Where seconds beyond 60 show that they are seconds of the day, they are read so, and reported. Raises SessionError
     where many are neither.
     """
     known = np.isfinite(clock)
@@ -192,7 +192,7 @@ def _utc(file: str, clock: Array, cells: pl.Series | None) -> tuple[Array, list[
     no_time = np.count_nonzero(known & np.isnan(of_day)) / np.count_nonzero(known)
     if no_time > FEW_NO_TIMES and np.all((clock[known] >= 0.0) & (clock[known] <= DAY)):
         of_day = np.round(clock, 6)
-        problems = [Problem("gps_seconds_of_day", f"{file}: its times are seconds of the day; taken as such")]
+        problems = [Problem("gps_seconds_of_day", f"{file}: its times are seconds of the day; read so")]
     elif no_time > MOST_NO_TIMES:
         example = float(clock[known & np.isnan(of_day)][0])
         raise SessionError(f"{file}: {no_time:.0%} of its times, as {example:.10g}, are no UTC (HHMMSS.sss)")
@@ -239,7 +239,7 @@ def _degrees(file: str, columns: dict[str, Array], t: Array, speed: Array) -> tu
     scale = scale_by_way(read, tuple(OTHER_FORMS))
     if scale is None:
         return lat_deg, lon_deg, []
-    text = f"{file}: by its speeds and courses, {OTHER_FORMS[scale]}; taken as such"
+    text = f"{file}: by its speeds and courses, {OTHER_FORMS[scale]}; read so"
     return scale[0] * lat_deg, scale[1] * lon_deg, [Problem("gps_position_form", text)]
 
 

@@ -17,7 +17,7 @@ from smoother.estimate.fixes.offset import (
     fit_offset,
     follows_positions,
     offset_model,
-    tells_offset,
+    shows_offset,
     unseen_variance,
 )
 from smoother.estimate.fixes.path import GnssPath, fit_gnss_path
@@ -43,7 +43,7 @@ def fitted(made: Made) -> OffsetFit:
 
 
 def tells(fixes_t: np.ndarray, path: GnssPath) -> bool:
-    return tells_offset(fixes_t, drift_against_doppler(fixes_t, path), path)
+    return shows_offset(fixes_t, drift_against_doppler(fixes_t, path), path)
 
 
 @pytest.fixture(scope="module")

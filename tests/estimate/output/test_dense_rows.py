@@ -116,7 +116,7 @@ def test_who_does_not_know_when_does_not_know_how_fast_either() -> None:
         values[...] = 0.05
     rows.velocity_n[...], rows.R_nb[...] = [0.0, 20.0, 0.0], so3.exp(np.array([0.0, 0.0, np.pi / 2.0]))
     rows.acceleration_b[...] = [-5.0, 10.0, 0.0]
-    rows.unsure_of_time(slice(0, 1), 0.01)
+    rows.add_time_uncertainty(slice(0, 1), 0.01)
     beside = 0.05
     np.testing.assert_allclose(rows.sigmas["position_n"], [[beside, np.hypot(beside, 0.2), beside]])
     np.testing.assert_allclose(rows.sigmas["velocity_n"], [[np.hypot(beside, 0.1), np.hypot(beside, 0.05), beside]])
@@ -130,5 +130,5 @@ def test_who_does_not_know_when_does_not_know_where_the_nose_is() -> None:
         values[...] = 0.05
     rows.velocity_n[...], rows.acceleration_b[...], rows.R_nb[...] = 0.0, 0.0, np.eye(3)
     rows.angular_rate_b[...] = [0.0, 0.5, 2.0]
-    rows.unsure_of_time(slice(0, 1), 0.0, 0.1)
+    rows.add_time_uncertainty(slice(0, 1), 0.0, 0.1)
     np.testing.assert_allclose(rows.sigmas["attitude"], [[0.05, np.hypot(0.05, 0.05), np.hypot(0.05, 0.2)]])

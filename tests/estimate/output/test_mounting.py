@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.model.imu import are_told
+from smoother.estimate.model.imu import are_observed
 from smoother.estimate.model.state import State
 from smoother.estimate.output.mounting import (
     CROSSFALL,
@@ -390,8 +390,8 @@ def test_attitudes_in_a_hole_of_the_samples_have_no_say() -> None:
 
 def test_samples_on_one_side_tell_a_keyframe() -> None:
     missing = np.array([0.0, 0.8, 0.1, 0.9, 1.0, 0.5])
-    np.testing.assert_array_equal(are_told(missing), [1, 1, 1, 1, 0, 0, 0])
-    assert np.all(are_told(np.array([0.0, 1.0, 0.0, 1.0, 0.0])))  # bursts in every other interval tell all
+    np.testing.assert_array_equal(are_observed(missing), [1, 1, 1, 1, 0, 0, 0])
+    assert np.all(are_observed(np.array([0.0, 1.0, 0.0, 1.0, 0.0])))  # bursts in every other interval tell all
 
 
 def test_the_nose_that_slip_tells_is_beside_axes_that_are_not_quite_level() -> None:
