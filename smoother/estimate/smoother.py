@@ -1,4 +1,4 @@
-"""GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
+"""GraphSmoother: session in, trajectory out. The stages in order; each is a function of the previous ones.
 
     true time -> velocities along positions -> one clock, force in step with rate, without pauses -> path of the fixes,
     alignment, first guess -> noise and constants of a part -> solve and identify, with magnetometer and wheels ->
@@ -40,7 +40,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass
 class GraphSmoother:
-    """The factor-graph smoother. keep: called with what was solved, for who goes on from it."""
+    """The factor-graph smoother. keep: called with the solution, for callers that continue from it."""
 
     options: GraphOptions = field(default_factory=GraphOptions)
     progress: Progress | None = None
@@ -48,10 +48,11 @@ class GraphSmoother:
     keep: Callable[[Solved], None] | None = None
 
     def estimate(self, session: Session) -> Trajectory:
-        """Return the smoothed trajectory, antenna positions in n, with sigmas and everything identified.
+        """Return the smoothed trajectory, antenna positions in n, with sigmas and identified constants.
 
-        Where the clock of the session is far off, `rate` and latencies are in true seconds, times are the session's.
-        Where the force is late behind the rate (`accel_delay`), latencies are those against the rate.
+        Where the clock of the session has a scale error, `rate` and latencies are in true seconds, times are the
+        session's. Where the accelerometer has a latency (`accel_delay`), the other latencies are relative to the
+        gyroscope.
         """
         scale = clock_scale(session)
         true = session if scale == 1.0 else in_true_time(session, scale)
@@ -126,7 +127,7 @@ def with_problems(trajectory: Trajectory, problems: tuple[Problem, ...]) -> Traj
 def _completed_report(
     given: Session, aligned: AlignedSession, solved: Solved, trajectory: Trajectory
 ) -> EstimateReport:
-    """Report of the trajectory, with what was found before there was one."""
+    """Report of the trajectory, with the results of earlier stages."""
     report, start, found = trajectory.report, solved.start, solved.found
     return replace(
         report,
@@ -174,7 +175,7 @@ def _fitted_mounting(found: Estimated, start: Start) -> FittedMounting:
 
 
 class Stopwatch:
-    """Time of each stage, and progress to whoever wants to see it."""
+    """Time of each stage, and progress reports."""
 
     def __init__(self, progress: Progress | None) -> None:
         self.seconds: dict[str, float] = {}

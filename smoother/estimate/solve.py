@@ -1,4 +1,4 @@
-"""Solving a session: constants and noise of its busiest part, then all of it, in one graph or in windows."""
+"""Solving a session: constants and noise from the part with most motion, then all of it, in one graph or in windows."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ Say = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A solved session: the start it was solved from, what was found, and the headings that were used."""
+    """A solved session: its start, the estimate, and the used headings."""
 
     start: Start
     found: Estimated
@@ -49,7 +49,7 @@ def solve(session: Session, start: Start, options: GraphOptions, say: Say) -> So
 
 
 def _identified(start: Start, part: Solution, compass: Compass, options: GraphOptions, say: Say) -> Solution:
-    """The solution of a start, with constants and noise that begin as a part of it has found them."""
+    """The solution of a start, with the constants and noise of a part as initial values."""
     problem, noise = with_rectification(problem_of(start), part), replace(part.noise, slip=None)
     wheels, sigmas = options.wheels and start.wheels, Sigmas.of(part.covariances)
     return identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading)
@@ -69,7 +69,7 @@ def _solve_in_windows(session: Session, start: Start, first: Solution, options: 
     compass = Compass(session, busiest)
     main = _identified(busiest, first, compass, options, lambda share: say(0.3 * share))
     known = known_from(main, busiest.priors, busiest, session.config)
-    if not _is_whole(busiest, start):  # over hours other errors of attitude are common than in one window
+    if not _is_whole(busiest, start):  # over hours the common errors of attitude differ from those of one window
         known = replace(known, common_attitude=np.zeros((3, 3)))
     constants, heading, problems = main.state.constants, compass.found, compass.problems
     del main, compass, busiest  # the windows need the room

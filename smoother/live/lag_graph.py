@@ -12,7 +12,7 @@ from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block, linear_fa
 from smoother.estimate.factors.graph import Graph
 from smoother.estimate.factors.imu import imu_factors, imu_rows
 from smoother.estimate.factors.rows import Rows
-from smoother.estimate.factors.wheels import MOVING, beside_slides, slip_of
+from smoother.estimate.factors.wheels import MOVING, slip_of, without_slides
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import (
@@ -108,7 +108,7 @@ def rolling(state: State, noise: Noise) -> BoolArray | None:
         return None
     slip = slip_of(state, LowPassedMotion(state, noise.inertial.accel, noise.inertial.gyro))
     moves = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]) > MOVING
-    return beside_slides(wrap_angle(slip.value * slip.level), moves, 0.0, state.interval)
+    return without_slides(wrap_angle(slip.value * slip.level), moves, 0.0, state.interval)
 
 
 def joined_states(one: State, two: State) -> State:

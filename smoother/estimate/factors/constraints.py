@@ -22,13 +22,13 @@ def standstill_rows(state: State, interval: IntArray) -> Rows:
     return rows_of("standstill", interval, residual, np.repeat([SPEED, TURN], 3), left, right)
 
 
-# Heading of the magnetic field. It turns the kart about up alone: a disturbed field never tilts it.
+# Heading of the magnetic field. Its Jacobian is a rotation about up: a disturbed field never affects roll and pitch.
 
 
 def heading_rows(
     state: State, interval: IntArray, field_s: Array, field_yaw: float, sigma: float | Array, has_offset: bool
 ) -> Rows:
-    """Residual: yaw of the field R field_s beside field_yaw and the heading offset, rad.
+    """Residual: yaw of the field R field_s minus field_yaw and the heading offset, rad.
 
     At the left keyframes of the intervals (N,): corrected field_s (N, 3), any unit; field_yaw rad in n; sigma rad, one
     or (N,). has_offset: the readings have an unknown heading offset.
@@ -44,15 +44,15 @@ def heading_rows(
 
 # Level ground, where no fix has a height.
 
-FAR_FROM_HEIGHT = 20.0  # s; for so long the samples alone carry a height
-HEIGHTS_AROUND = np.arange(-2, 3)  # whose median is the nearest height: one of them may be wild
+FAR_FROM_HEIGHT = 20.0  # s; for so long the samples alone predict a height
+HEIGHTS_AROUND = np.arange(-2, 3)  # whose median is the nearest height: robust against one outlier
 LEVEL_GROUND = 2.0  # m/sqrt(Hz); much less than tracks are level to, since heights are near one another for seconds
 
 
 def ground_rows(state: State, at: IntArray, height: Array) -> Rows:
-    """Residual: height of the keyframes `at` (N,) beside the slow error upwards and `height` (N,), m in n.
+    """Residual: height of the keyframes `at` (N,) plus the slow error upwards minus `height` (N,), m in n.
 
-    The samples alone would let the height run away by kilometres. The slow error stands for the hills.
+    With the samples alone the height would drift by kilometres. The slow error absorbs hills.
     """
     left, right = no_jacobian(len(at), 1)
     left[:, 0, TRANSLATION], left[:, 0, OFFSET.start + 2] = state.R_ns[at, 2, :], 1.0

@@ -1,4 +1,4 @@
-"""GPS Doppler velocity: that of the antenna, late by a latency and behind the receiver's low-pass, beside a bias."""
+"""GPS Doppler velocity: that of the antenna, delayed by a latency and the receiver's low-pass, plus a bias."""
 
 import math
 from functools import partial
@@ -21,9 +21,9 @@ def velocity_rows(
 ) -> Rows:
     """Residual v(t - latency) + w x R l + response + bias - z, m/s in n; w is the turn rate about up.
 
-    t (N,) s: stamps; measured_n (N, 3) m/s, NaN unknown; sigma (N, 3) m/s. Where no course is known the speed (N,) m/s
-    is measured alone: the size of the same on the level. A kart bounces on its tyres: upwards there
-    is no slope by the latency, and no response.
+    t (N,) s: stamps; measured_n (N, 3) m/s, NaN unknown; sigma (N, 3) m/s. Where no course is known only
+    the speed (N,) m/s is measured: the horizontal magnitude. The vertical component has no Jacobian by latency and no
+    response, because a kart bounces on its tyres.
     """
     latency = state.constant("velocity_latency")
     between = Between.at(state, t - latency)
@@ -52,11 +52,12 @@ def velocity_rows(
 
 
 def response(s: Spectrum, constant: float) -> tuple[Spectrum, Spectrum, Spectrum]:
-    """What a receiver's response adds to velocities, over them, its derivative, and its slope by the constant.
+    """Transfer functions of the receiver's response beyond its latency: itself, its derivative, its slope by the
+    constant.
 
-    s: 2 pi i Hz. constant s^2: a low-pass of first order that is late by its time constant tau has tau^2 / 2; in slow
-    motion it adds, beyond that delay, the constant times the jerk. Where it is negative, as of an antenna that leans,
-    that is all.
+    s: 2 pi i Hz. constant s^2: tau^2 / 2 of a first-order low-pass with time constant tau, whose delay is part of the
+    latency; in slow motion the rest is the constant times the jerk. A negative constant, as of a leaning antenna, is
+    only that.
     """
     tau = math.sqrt(2.0 * max(constant, 0.0))
     passed = np.exp(s * tau) / (1.0 + s * tau)

@@ -1,4 +1,4 @@
-"""How rows become factors of GTSAM: linear ones for the batch loop, CustomFactor for small graphs.
+"""Conversion of rows to GTSAM factors: linear ones for the batch loop, CustomFactor for small graphs.
 
 In the linear system a keyframe is one block of 18 columns, in the order of its tangent, and the constants that are
 solved for are one more: GTSAM eliminates few large blocks in half the time of many small ones.
@@ -34,8 +34,8 @@ def block(k: int) -> int:
 def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str]) -> gtsam.GaussianFactorGraph:
     """One linear factor of GTSAM an interval, of all rows of it, which are in the order of the intervals.
 
-    unknown: names of the constants that are solved for. (In Python a GaussianConditional is the cheapest way to hand
-    GTSAM a Jacobian: one array that is copied once.)
+    unknown: names of the constants that are solved for. (In Python a GaussianConditional is the cheapest way to
+    pass a Jacobian to GTSAM: one array that is copied once.)
     """
     (_, size), own = places(unknown), rows[0].left.shape[2]
     graph, sizes = gtsam.GaussianFactorGraph(), [own, own, *([size] if size else []), 1]
@@ -75,7 +75,7 @@ def columns_of(unknown: Sequence[str]) -> IntArray:
 
 
 def put_in_blocks(factor: gtsam.GaussianFactor, unknown: Sequence[str], system: gtsam.GaussianFactorGraph) -> None:
-    """Add a linear factor of GTSAM's own, as of a prior, to the system of blocks. Constants that are held stay out."""
+    """Add a linear factor of GTSAM's own, as of a prior, to the system of blocks. Held constants have no column."""
     keys, (A, b), end = factor.keys(), factor.jacobian(), 0
     starts, size = places(unknown)
     blocks: dict[int, Array] = {}
@@ -103,7 +103,7 @@ _STARTS = np.cumsum([0, *DIMENSIONS]).tolist()
 def custom_factors(build: Callable[[State], Rows], state: State) -> list[gtsam.CustomFactor]:
     """The same rows as gtsam.CustomFactor, one each, for GTSAM's own optimizers on small graphs.
 
-    build: a factor's rows at a state; state: one that has the keyframes, at which robust weights are taken. A callback
+    build: a factor's rows at a state; state: has the keyframes, and defines the robust weights. A callback
     copies all values of the graph, so that the cost grows with the square of its length.
     """
     rows, columns = build(state), np.cumsum([0, *DIMENSIONS])

@@ -1,7 +1,7 @@
-"""The graph of a session: what is measured and known, the table of factors, and the one function that builds the graph.
+"""The graph of a session: measurements, priors, the table of factors, and the function that builds the graph.
 
-The inertial factors and the priors are GTSAM's own. Everything else is one vectorised function a factor; the table says
-which of them a session has and whether outliers lose weight.
+The inertial factors and the priors are GTSAM's own. Every other factor is one vectorised function; the table defines
+which of them a session has and whether they are robust.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -31,26 +31,27 @@ from smoother.estimate.model.preintegration import preintegrate
 from smoother.estimate.model.state import CONSTANTS, KEYS, State
 from smoother.samples import WheelSpeed
 
-ANYWHERE = np.repeat([3.0, 1e4], 3)  # rad, m: prior of the first pose, which says nothing
+ANYWHERE = np.repeat([3.0, 1e4], 3)  # rad, m: uninformative prior of the first pose
 ANY_SPEED = 1e3  # m/s, likewise
-MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
+MAX_LATENCY = 0.6  # s; the slowest known receiver has 0.58 s
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What is measured besides the inertial samples, on their clock.
+    """Measurements besides the inertial samples, on their clock.
 
     t (N,) s: stamps of the fixes. position_n m, velocity_n m/s (N, 3): NaN where unknown.
     position_scale, velocity_scale (N,): factors of the session's sigmas.
-    speed (N,) m/s: counts where no velocity is known.
+    speed (N,) m/s: used where no velocity is known.
     still (S,): intervals at rest.
-    rejected (N,): fixes whose positions do not count.
+    rejected (N,): fixes whose positions are not used.
     heading: of the magnetometer.
-    rolls (K,): keyframes at which wheels roll, None asks nothing of them.
+    rolls (K,): keyframes at which wheels roll, None without the factor.
     ground: keyframes far from any fix with a height, and the nearest height, m.
     unsampled: intervals without inertial samples.
     wheel_speed: readings of a wheel's speed, far enough apart to be independent.
-    offset_share, offset_renewed (K-1,): slow error of the fixes in parts of its sigma, and where it is another one.
+    offset_share, offset_renewed (K-1,): sigma of the slow error relative to the session's, and intervals after which
+        the error is independent.
     """
 
     t: Array
@@ -79,7 +80,7 @@ class Measurements:
         return replace(self, **parts)
 
     def are_between(self, t: Array, first: int, last: int) -> BoolArray:
-        """Mask (N,) of the fixes that are read between the keyframes first to last, exclusive, whatever their latency.
+        """Mask (N,) of the fixes between the keyframes first to last, exclusive, at any possible latency.
 
         t (K,) s: of the keyframes.
         """
@@ -108,21 +109,21 @@ class Measurements:
 
 
 def are_inside(stamps: Array, t: Array) -> BoolArray:
-    """Mask (N,) of the stamps (N,) s that are read between keyframes at t (K,) s, whatever their latency."""
+    """Mask (N,) of the stamps (N,) s between keyframes at t (K,) s, at any possible latency."""
     return np.asarray((stamps > t[0] + MAX_LATENCY) & (stamps < t[-1]))
 
 
 def readings_inside(wheel: WheelSpeed, t: Array) -> WheelSpeed:
-    """Return those of the readings that keyframes at t (K,) s have a part in."""
+    """Return the readings between keyframes at t (K,) s."""
     inside = are_inside(wheel.t, t)
     return WheelSpeed(wheel.t[inside], wheel.speed[inside])
 
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: accel_bias m/s^2 and gyro_bias rad/s, sigmas of the first biases, about zero and
-    gyro_bias_mean (3,); constants: mean and sigma by name; held_s (3,): direction of the arm that stays at its mean.
-    has_height: some fix has a height. drives: the kart went at a speed that shows the constants.
+    """Prior knowledge: accel_bias m/s^2 and gyro_bias rad/s, sigmas of the first biases, about zero and
+    gyro_bias_mean (3,); constants: mean and sigma by name; held_s (3,): direction of the lever arm that is held at its
+    mean. has_height: some fix has a height. drives: the kart drove fast enough to identify the constants.
     """
 
     accel_bias: float
@@ -134,13 +135,13 @@ class Priors:
     drives: bool = True
 
 
-HELD = 1e-4  # m, sigma of what is held
+HELD = 1e-4  # m, sigma of a held value
 ABSENT = 1e-5  # m from interval to interval, sigma of a slow error that is left out
 
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """All that a factor may read: measurements, noise, priors, a state and the low-passed motion along it."""
+    """Inputs of a factor: measurements, noise, priors, a state and the low-passed motion along it."""
 
     measured: Measurements
     noise: Noise
@@ -151,11 +152,11 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Factor:
-    """A line of the table: its rows for given inputs, and whether outliers lose weight.
+    """A line of the table: its rows for given inputs, and whether its loss is robust.
 
     left_out: sigma of all rows where the factor is left out. A measurement then has no weight; a process, the only
-    factor of an unknown, holds it at zero. usual: sigma of its rows, which are called as the factor, to begin with;
-    the residuals find it (Noise.sigmas). units: those of rows whose residuals are reported, by their names.
+    factor of an unknown, holds it at zero. usual: initial sigma of its rows, which have the name of the factor; it
+    is identified from the residuals (Noise.sigmas). units: those of rows whose residuals are reported, by their names.
     """
 
     name: str
@@ -240,7 +241,7 @@ TABLE = (
 
 
 def table_without(names: Collection[str]) -> tuple[Factor, ...]:
-    """The table with some factors left out. Raises UsageError for a name that it does not have."""
+    """The table with some factors left out. Raises UsageError for an unknown name."""
     known = [factor.name for factor in TABLE]
     for name in sorted(set(names) - set(known)):
         raise UsageError(f"no factor is called {name!r}; there are {', '.join(known)}")
@@ -249,8 +250,8 @@ def table_without(names: Collection[str]) -> tuple[Factor, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """The graph of a session for one noise: GTSAM's own factors, of the samples of the intervals `sampled` in `imu` and
-    of what is known beforehand in `prior`, and all others by :meth:`rows`. state: times and geometry.
+    """The graph of a session for one noise: GTSAM's own factors, of the samples of the intervals `sampled` in `imu`,
+    priors in `prior`, and all others by :meth:`rows`. state: times and geometry.
     rectified: whether the rectification is unknown.
     """
 
@@ -326,7 +327,7 @@ def _prior_factors(priors: Priors, noise: Noise, state: State) -> gtsam.Nonlinea
 
 def _prior_sigma(name: str, priors: Priors, noise: Noise) -> Array:
     sigma = priors.constants[name][1]
-    return np.asarray(np.minimum(sigma, noise.constants.get(name, np.inf)))  # what is held stays held
+    return np.asarray(np.minimum(sigma, noise.constants.get(name, np.inf)))  # held constants stay held
 
 
 def _diagonal(sigma: Array) -> gtsam.noiseModel.Diagonal:

@@ -39,8 +39,8 @@ def imu_rows(linear: gtsam.GaussianFactorGraph, at: IntArray, state: State, shak
     """The IMU factors of the intervals `at` (M,) as rows of 15, whitened: rotation, position, velocity, biases.
 
     linear: factors as GTSAM linearised them at `state`. shaken (K-1, 2): power of the
-    vibration of force and of rate beyond the session's mean, over it; it pushes an accelerometer (rectification).
-    rectified: whether the rectification is unknown; it is subtracted in either case.
+    vibration of force and of rate beyond the session's mean, over it; it shifts the mean of an accelerometer
+    (rectification). rectified: whether the rectification is unknown; it is subtracted in either case.
     """
     n = len(at)
     read = [linear.at(k).jacobian() for k in range(n)]

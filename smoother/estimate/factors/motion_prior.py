@@ -1,8 +1,8 @@
-"""Motion prior: what a kart may do in an interval without inertial samples; it stands where the IMU factor would.
+"""Motion prior of an interval without inertial samples, in place of the IMU factor.
 
-It goes on along the path of the fixes, give or take white noise of acceleration and of turn rate: the less, the closer
-fixes are around it. The kart is level and points along its course but for Gauss-Markov processes, and the biases walk
-on. Source: Barfoot 2017, State Estimation for Robotics, 3.4.
+The kart follows the path of the fixes with white noise of acceleration and turn rate, the smaller the closer the fixes
+are. Tilt and slip relative to the course are Gauss-Markov processes, and the biases are random walks. Source: Barfoot
+2017, State Estimation for Robotics, 3.4.
 """
 
 import math
@@ -17,23 +17,23 @@ from smoother.estimate.model.motion import course_of
 from smoother.estimate.model.state import ACCEL_BIAS, GYRO_BIAS, ROTATION, TRANSLATION, VELOCITY, State
 from smoother.frames import UP_N, wrap_angle
 
-MOSTLY = 0.5  # share without samples from which on an interval counts as one without
+MOSTLY = 0.5  # share without samples, above which an interval has the motion prior
 # densities per axis of n: a kart brakes and corners with 5 m/s^2 rms for about a second, and turns with 0.5 rad/s
 ACCELERATION = np.array([6.0, 6.0, 1.0])  # m/s^2/sqrt(Hz)
 TURN_RATE = 0.5  # rad/s/sqrt(Hz), about up
-LASTING = 1.0  # s for which it does so, and is tilted alike
-MOVING = 4.0  # m/s from which on a course has a direction to speak of
+LASTING = 1.0  # s, time constant of tilt and slip
+MOVING = 4.0  # m/s, above which a course is defined
 SLIP = 0.05  # rad between the kart and its course
-TILT = 0.06  # rad: slopes, lean in bends, and how well an alignment knows level
+TILT = 0.06  # rad: slopes, lean in bends, and the error of the alignment
 
 
 @dataclass(frozen=True, eq=False)
 class Unsampled:
     """Intervals `at` (M,) without samples, and how they pass along the path of the fixes.
 
-    turn (M,) rad about up; gain_n (M, 3) m/s of velocity; loose (M,): how uncertain both are, 1 where no fix is near:
-    what a line misses of a smooth path goes with the square of the time. follows (M,): whether the first level axis
-    points along the course, and the path has a course to speak of there.
+    turn (M,) rad about up; gain_n (M, 3) m/s of velocity; loose (M,): relative uncertainty of both, 1 far from any fix:
+    the error of linear interpolation grows with the square of the time. follows (M,): whether the first level axis
+    points along the course, and the course is defined there.
     """
 
     at: IntArray
@@ -62,8 +62,8 @@ class Unsampled:
 
 
 def motion_prior_rows(state: State, unsampled: Unsampled, accel_walk: float, gyro_walk: float) -> Rows:
-    """Rows of 15 for intervals without samples: tilt beyond what is left of the last one, two, and slip likewise, rad;
-    change of position beyond that of the mean velocity, m, of velocity, m/s, of both biases. accel_walk
+    """Rows of 15 for intervals without samples: steps of the Gauss-Markov processes of tilt, two, and slip, rad;
+    change of position minus that of the mean velocity, m, of velocity, m/s, of both biases. accel_walk
     m/s^2/sqrt(s), gyro_walk rad/s/sqrt(s): densities of the biases' walks.
     """
     at = unsampled.at

@@ -1,4 +1,4 @@
-"""GPS position: the antenna, late by a latency, beside a slow error."""
+"""GPS position: the antenna, delayed by a latency, plus a slow error."""
 
 import numpy as np
 
@@ -15,8 +15,8 @@ def position_rows(
 ) -> Rows:
     """Residual p(t - latency) + R l + o - z, m in n.
 
-    t (N,) s: stamps; measured_n (N, 3) m, NaN unknown; sigma (N, 3) m. The slow error o belongs to the receiver: it is
-    read at t - usual_latency, whatever the estimated latency, within the same interval.
+    t (N,) s: stamps; measured_n (N, 3) m, NaN unknown; sigma (N, 3) m. The slow error o is interpolated
+    at t - usual_latency within the same interval, independent of the estimated latency.
     """
     latency = state.constant("position_latency")
     between = Between.at(state, t - latency)
@@ -36,14 +36,14 @@ def position_rows(
     return rows_of("gps_position", k, residual, sigma, left, right, constants)
 
 
-# Where the antenna is beside the IMU: the lever arm in n, on the frame of the kart or with the box on the wheel.
+# The lever arm from the IMU to the antenna in n, for a logger on the frame or on the steering wheel.
 
 
 def arm_axes(between: Between) -> Array:
     """Rotations (N, 3, 3) that take the lever arm from s to n.
 
-    With a box on the steering wheel the arm keeps to the course of the path: an arm that turned with the wheel would
-    swing the antenna by decimetres that are not there.
+    For a logger on the steering wheel it rotates with the course of the path: rotating with the wheel it would move the
+    antenna by decimetres.
     """
     geometry = between.state.geometry
     if not geometry.is_steered:
@@ -63,7 +63,7 @@ def arm_axes(between: Between) -> Array:
 def offset_rows(state: State, sigma: Array, tau: float, renewed: BoolArray | None = None) -> Rows:
     """Residual o(k + 1) - phi o(k), m, with variance sigma^2 (1 - phi^2) and phi = exp(-T / tau), in every interval.
 
-    sigma (3,) or (K-1, 3) m; tau s. renewed (K-1,): intervals after which the error is another one (phi = 0).
+    sigma (3,) or (K-1, 3) m; tau s. renewed (K-1,): intervals after which the error is independent (phi = 0).
     Source: Gelb 1974, 3.8.
     """
     n = len(state.t) - 1

@@ -1,7 +1,7 @@
 """Measurements as rows of a linearised factor: residual and Jacobian of all of a session at once.
 
-Each factor has one function that returns Rows. factors/gaussian.py hands them to GTSAM; nothing else computes a
-residual. Residuals are prediction minus measurement, in the unit of the measurement.
+Each factor has one function that returns Rows. factors/gaussian.py passes them to GTSAM; residuals are computed nowhere
+else. Residuals are prediction minus measurement, in the unit of the measurement.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE
 ROBUST_LIMIT = (
     4.5  # mean squared normalised residual of a row, beyond which it loses weight: three sigmas of two components
 )
-SLOWEST = 2.0  # m/s; a slower speed says nothing without its direction
+SLOWEST = 2.0  # m/s; a slower speed without direction has no weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def no_jacobian(n: int, r: int) -> tuple[Array, Array]:
 
 
 def with_sigma(rows: Rows, sigma: float) -> Rows:
-    """Return the rows with another sigma of all that was measured; an infinite one leaves nothing measured."""
+    """Return the rows with another sigma of all measured components; an infinite one removes them."""
     known = np.isfinite(rows.sigma) & np.isfinite(sigma)
     return replace(rows, sigma=np.where(known, sigma, np.inf), residual=np.where(known, rows.residual, 0.0))
 

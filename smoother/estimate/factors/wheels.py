@@ -1,8 +1,8 @@
-"""Wheels roll along the kart and hardly sideways: sideslip as constants and a Gauss-Markov process.
+"""Non-holonomic factor: wheels roll along the kart; sideslip is constants and a Gauss-Markov process.
 
-Sideslip is the angle from the nose to the course. What it has in common over a session are four constants: an angle,
-what goes with lateral acceleration, with its rate, and with curvature (the box is ahead of the rear axle). The rest is
-a process whose sigma grows with how hard the kart corners. It ties the yaw to the course where the kart drives.
+Sideslip is the angle from the heading to the course. Four constants describe its mean: an angle, and coefficients of
+lateral acceleration, of its rate, and of curvature (the IMU is ahead of the rear axle). The rest is a process whose
+sigma grows with lateral acceleration. The factor ties yaw to the course where the kart drives.
 """
 
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import KEYFRAME_SIZE, ROTATION, VELOCITY, State
 from smoother.frames import UP_N, wrap_angle
 
-SLIDING, AROUND = np.radians(20.0), 1.0  # rad beside the usual slip, of a slide or a spin, and s around it
-SURE = 3.0  # sigmas
-MOST_SLIDING = 0.2  # of the time at speed; a box that points elsewhere more often is not fixed to a chassis
-MOST = np.radians(4.0)  # scatter of the slip of anything that is fixed to a chassis on wheels
-UNSURE = np.radians(1.0)  # error of a slip that leaves it a quarter of its weight
-ENOUGH = 100  # keyframes at speed
-MOVING = 4.0  # m/s from which on the course has a direction to speak of
-SIDEWAYS = 0.05  # m/s by which bumps push the kart, from keyframe to keyframe
-MEMORY = 2.0  # s; time constant of the process, a corner's worth
+SLIDING, MARGIN = np.radians(20.0), 1.0  # rad beside the usual slip, of a slide or a spin, and s around it
+SLIDING_SIGMAS = 3.0  # tolerance of the slip, beyond SLIDING
+MOST_SLIDING = 0.2  # of the time at speed; a logger with more is not fixed to the chassis
+LARGEST_SCATTER = np.radians(4.0)  # scatter of the slip of a logger on the chassis
+WEIGHT_SIGMA = np.radians(1.0)  # error of a slip that reduces its weight to a quarter
+FEWEST_KEYFRAMES = 100  # keyframes at speed
+MOVING = 4.0  # m/s, above which a course is defined
+LATERAL_NOISE = 0.05  # m/s, white lateral velocity from bumps
+SLIP_TIME = 2.0  # s, time constant of the process: a corner
 # m/s^2 of lateral acceleration and m/s^3 of its rate at which the process has its sigma, and the share of that on
-# straights: a hard corner of a kart, the turn into it, and 0.2 deg
-HARD, QUICK, STRAIGHT = 10.0, 25.0, 0.3
+# straights: a hard corner of a kart, turning in, and 0.2 deg
+USUAL_LATERAL, USUAL_JERK, STRAIGHT = 10.0, 25.0, 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Slip:
-    """Sideslip beyond its constants at the keyframes, over the level (K,) of the process there.
+    """Sideslip beyond its constants at the keyframes, divided by the relative sigma `level` (K,) of the process.
 
-    value (K,) rad; own (K,) rad: scatter from keyframe to keyframe; Jacobians by_keyframe (K, 18), by_constants (K, 4).
+    value (K,) rad; own (K,) rad: white noise of a keyframe; Jacobians by_keyframe (K, 18), by_constants (K, 4).
     """
 
     value: Array
@@ -51,14 +51,14 @@ def slip_of(state: State, motion: LowPassedMotion) -> Slip:
     left_n = np.cross(UP_N, velocity_n) / speed[:, None]
     lateral = np.sum(left_n * along.acceleration_n, axis=1)
     later = np.sum(left_n * along.jerk_n, axis=1)
-    level = np.sqrt(STRAIGHT**2 + (lateral / HARD) ** 2 + (later / QUICK) ** 2)
+    level = np.sqrt(STRAIGHT**2 + (lateral / USUAL_LATERAL) ** 2 + (later / USUAL_JERK) ** 2)
     design = np.column_stack([np.ones(len(speed)), lateral, later, lateral / speed**2])
     course = np.arctan2(velocity_n[:, 1], velocity_n[:, 0]) - np.arctan2(ahead_n[:, 1], ahead_n[:, 0])
     by_keyframe = np.zeros((len(speed), KEYFRAME_SIZE))
     by_keyframe[:, ROTATION], by_keyframe[:, VELOCITY] = -state.R_ns[:, 2, :], left_n / speed[:, None]
     return Slip(
         wrap_angle(course - design @ state.constants["slip"]) / level,
-        SIDEWAYS / speed / level,
+        LATERAL_NOISE / speed / level,
         level,
         by_keyframe / level[:, None],
         -design / level[:, None],
@@ -66,45 +66,44 @@ def slip_of(state: State, motion: LowPassedMotion) -> Slip:
 
 
 def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> BoolArray | None:
-    """Keyframes (K,) at which wheels roll, by the slip of a solution without wheels; None where they say nothing.
-
-    That is where the IMU turns against the path, as on a steering wheel, or slips more than a chassis does.
+    """Keyframes (K,) at which wheels roll, by the slip of a solution without wheels; None where the factor does not
+    apply: where the IMU turns relative to the path, as on a steering wheel, or slips more than a chassis does.
 
     moves (K,): keyframes at speed; variance (K,): of slip.value, by the errors of that solution. interval s.
     """
-    if np.count_nonzero(moves) < ENOUGH:
+    if np.count_nonzero(moves) < FEWEST_KEYFRAMES:
         return None
     angle = slip.value * slip.level
     angle = wrap_angle(angle - np.median(angle[moves]))
-    rolls = beside_slides(angle, moves, SURE * slip.level * np.sqrt(variance), interval)
+    rolls = without_slides(angle, moves, SLIDING_SIGMAS * slip.level * np.sqrt(variance), interval)
     if np.count_nonzero(rolls) < (1.0 - MOST_SLIDING) * np.count_nonzero(moves):
         return None
-    weight = 1.0 / (variance[rolls] + UNSURE**2)
+    weight = 1.0 / (variance[rolls] + WEIGHT_SIGMA**2)
     design = slip.by_constants[rolls] * np.sqrt(weight)[:, None]
     value = angle[rolls] / slip.level[rolls]
     fit = np.linalg.lstsq(design, value * np.sqrt(weight), rcond=None)[0]
     beyond = np.minimum((value - slip.by_constants[rolls] @ fit) ** 2, SLIDING**2) - variance[rolls]
     sigma = np.sqrt(max(float(np.average(beyond, weights=weight**2)), 0.0))
-    return None if sigma > MOST else rolls
+    return None if sigma > LARGEST_SCATTER else rolls
 
 
-def beside_slides(angle: Array, moves: BoolArray, unsure: Array | float, interval: float) -> BoolArray:
-    """Keyframes (K,) at speed around which the kart neither slides nor spins.
+def without_slides(angle: Array, moves: BoolArray, unsure: Array | float, interval: float) -> BoolArray:
+    """Keyframes (K,) at speed without a slide or spin around them.
 
-    angle (K,) rad: sideslip beyond the usual; moves (K,): keyframes at speed; unsure rad: what may be off by.
+    angle (K,) rad: sideslip beyond the usual; moves (K,): keyframes at speed; unsure rad: its tolerance.
     """
     sliding = moves & (np.abs(angle) > SLIDING + unsure)
-    around = np.convolve(sliding, np.ones(2 * round(AROUND / interval) + 1), "same") > 0.5
+    around = np.convolve(sliding, np.ones(2 * round(MARGIN / interval) + 1), "same") > 0.5
     return np.asarray(moves & ~around)
 
 
 def slip_rows(slip: Slip, rolls: BoolArray, sigma: float, interval: float) -> tuple[Rows, Rows]:
-    """The process: its start wherever the kart gets going, and its steps, rad.
+    """The process: its starts, and its steps, rad.
 
-    rolls (K,): keyframes at which the wheels roll. sigma rad at the level of a hard corner; interval s. No keyframe
-    needs an unknown for it. Source: Gelb 1974, 3.8.
+    rolls (K,): keyframes at which the wheels roll. sigma rad at the level of a hard corner; interval s. The process
+    needs no variable. Source: Gelb 1974, 3.8.
     """
-    phi = np.exp(-interval / MEMORY)
+    phi = np.exp(-interval / SLIP_TIME)
     steps = np.flatnonzero(rolls[:-1] & rolls[1:])
     starts = steps[np.diff(steps, prepend=-2) > 1]
     left, right = no_jacobian(len(starts), 1)

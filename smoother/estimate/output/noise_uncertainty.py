@@ -8,7 +8,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.factors.rows import Rows
-from smoother.estimate.factors.wheels import MEMORY, slip_of
+from smoother.estimate.factors.wheels import SLIP_TIME, slip_of
 from smoother.estimate.fixes.reported_noise import hidden_wander
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
@@ -112,7 +112,7 @@ def _of_slip(solution: Solution, prior: Array) -> tuple[float | None, float | No
     )
     by = slip.by_constants[k]
     apart = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / prior) ** 2), by.T @ slip.value[k])[0]
-    independent = len(k) * solution.state.interval / (2.0 * MEMORY)
+    independent = len(k) * solution.state.interval / (2.0 * SLIP_TIME)
     different = min(DIFFERENT, independent, corners(by[:, 1] / by[:, 0]))
     information = different * by.T @ by / len(k) / sigma**2 + np.diag(prior**-2.0)
     guessed = SLIP_COUNT / (SLIP_COUNT + independent) * ANY_SLIP

@@ -1,8 +1,8 @@
 """The noise of a session from the residuals of its solution: variance components.
 
-Each source of noise answers for a part of the squared residuals, of which a certain number is expected: their ratio
-says by how much its variance was too small or too large. The fixed point is the restricted maximum-likelihood estimate.
-What is usual of a source counts like a few residuals, so that short sessions do not find it perfect.
+The ratio of the squared residuals of each source to their expectation corrects its variance. The fixed point is the
+restricted maximum-likelihood estimate. The initial value of a source has the weight of a few residuals, so that short
+sessions do not underestimate it.
 Source: Foerstner 1979 (the estimator); Harville 1977 (scoring of two components at once).
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.factors.graph import Graph
 from smoother.estimate.factors.rows import Rows, after_step
-from smoother.estimate.factors.wheels import MEMORY
+from smoother.estimate.factors.wheels import SLIP_TIME
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.noise import InertialNoise, Noise, Shape, shared_densities
 from smoother.estimate.model.state import ACCEL_BIAS, COLUMNS, GYRO_BIAS, ROTATION
@@ -371,7 +371,7 @@ def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
     Its start and its steps share their variance with bumps.
     """
     squares, expected = 0.0, 0.0
-    of_step = 1.0 - math.exp(-2.0 * step.state.interval / MEMORY)
+    of_step = 1.0 - math.exp(-2.0 * step.state.interval / SLIP_TIME)
     for name, own in (("slip_start", sigma**2), ("slip", of_step * sigma**2)):
         rows = step.rows.get(name)
         if rows is not None:
