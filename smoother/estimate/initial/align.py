@@ -21,15 +21,18 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, runs_of
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
-from smoother.estimate.preprocess.averages import WINDOW, averages_of, in_gap, steps
 from smoother.estimate.preprocess.gains import Gains
 from smoother.estimate.preprocess.path_motion import (
     LAGS,
     MIN_SPEED,
+    WINDOW,
     PathMotion,
+    averages_of,
+    in_gap,
     path_axes,
     peak,
     sampled_at_speed,
+    steps,
     thinned,
 )
 from smoother.frames import rotation_from_euler, wrap_angle

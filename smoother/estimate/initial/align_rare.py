@@ -22,8 +22,17 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray, median
-from smoother.estimate.preprocess.averages import Averages, averages_of, before_holes, in_gap
-from smoother.estimate.preprocess.path_motion import LAGS, MIN_SPEED, PathMotion, peak, thinned
+from smoother.estimate.preprocess.path_motion import (
+    LAGS,
+    MIN_SPEED,
+    Averages,
+    PathMotion,
+    averages_of,
+    before_holes,
+    in_gap,
+    peak,
+    thinned,
+)
 from smoother.frames import wrap_angle
 from smoother.samples import ImuSamples
 from smoother.units import STANDARD_GRAVITY

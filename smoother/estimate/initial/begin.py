@@ -7,10 +7,9 @@ from smoother.estimate.fixes.settling import settling_problems, unsettled, witho
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.guess import Start, make_start
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.preprocess.averages import averages_of
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Drift, fit_drift
 from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, in_step
-from smoother.estimate.preprocess.path_motion import sampled_at_speed
+from smoother.estimate.preprocess.path_motion import averages_of, sampled_at_speed
 from smoother.estimate.preprocess.pauses import closed_up, pauses_of
 from smoother.estimate.preprocess.streams import Measured, compare_streams
 from smoother.samples import Problem, Session

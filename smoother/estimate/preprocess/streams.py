@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, median
-from smoother.estimate.preprocess.averages import WINDOW, Averages
-from smoother.estimate.preprocess.path_motion import PathMotion, path_axes
+from smoother.estimate.preprocess.path_motion import WINDOW, Averages, PathMotion, path_axes
 
 STRETCH, MOST_STRETCHES = 10.0, 400  # s of driving: a bend or two
 FEWEST_STRETCHES, FEWEST = 5, 8  # of a session; fixes of a stretch

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array, IntArray
-from smoother.estimate.preprocess.averages import averages_of
 from smoother.estimate.preprocess.clock import fit_drift
-from smoother.estimate.preprocess.path_motion import PathMotion
+from smoother.estimate.preprocess.path_motion import PathMotion, averages_of
 from smoother.estimate.preprocess.streams import Measured, Streams, compare_streams
 from smoother.samples import ImuSamples
 
