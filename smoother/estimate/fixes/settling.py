@@ -5,16 +5,13 @@ Taken for a slow error they would bend the rest of the session: no Gauss-Markov 
 the velocity and the path would. Positions minus the integrated velocity show how the error of the fixes changes. Where
 it changes in the first minutes by far more than it ever does later, and for good, the receiver had not settled; an
 error that comes and goes is another matter.
-
-Some receivers hold their position while they stand. One that holds the first it has, tens of metres off, shows nothing
-until the kart drives off: then it steps to where it has settled meanwhile, and what it had held was never measured.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.arrays import Array, BoolArray, median
 from smoother.estimate.fixes.screen import beside_dead_reckoning, has_velocities, running_median, unbroken_runs
 from smoother.samples import Problem, Session
 from smoother.words import counted, span
@@ -25,8 +22,6 @@ AVERAGED = 3.0  # s, by a median
 SETTLING, SETTLINGS = 6.0, 3.0  # m, and times the usual change; a Gauss-Markov error does it in 2 runs of 1000
 LEAST = 5.0  # s; what is over sooner is a jump, LATER or now
 STEPWISE = 0.7  # of the whole change within LEAST s: a step, as of false Doppler, and no settling
-HELD = 5.0  # s for which a position is repeated, to the last digit: that of a receiver which holds it at rest
-SAME = 1e-4  # m; the last digit of a position is more
 LOST = 5.0  # s without fixes, in which a receiver may lose its satellites; a shorter hole is one of the recording
 EARLY = 120.0  # s, in which a receiver settles
 FEWEST = 200  # fixes later than that, from which on they alone tell what is usual
@@ -51,24 +46,9 @@ def unsettled(session: Session) -> BoolArray:
     late = [change[t[rows[: len(change)]] - t[rows[0]] > EARLY] for rows, change in zip(runs, changes, strict=True)]
     usual = median(np.concatenate(late if sum(map(len, late)) > FEWEST else changes))
     for rows, error, change in zip(runs, errors, changes, strict=True):
-        if rows[0] > known[0] and t[rows[0]] - t[known[known < rows[0]][-1]] < LOST:
-            continue
-        free = _released_at(t[rows], position_n[rows], error, usual)
-        settled = _settled_at(t[rows[free:]], error[free:], change[free:], usual)
-        out[rows[0] : rows[free + settled]] = True
-    for rows in unbroken[::-1]:  # what came in after a gap had come in before it, too
-        after = int(rows[-1]) + 1
-        if not _is_cut_short(t, rows, known) or after == len(t) or not out[known[known >= after][:1]].all():
-            continue
-        error = _error(t[rows], position_n[rows], velocity_n[rows])
-        out[rows] = bool(np.hypot(*(error[-1] - error[0])) > _far(float(t[rows[-1]] - t[rows[0]]), usual))
+        if rows[0] == known[0] or t[rows[0]] - t[known[known < rows[0]][-1]] >= LOST:
+            out[rows[0] : rows[_settled_at(t[rows], error, change, usual)]] = True
     return out
-
-
-def _is_cut_short(t: Array, rows: IntArray, known: IntArray) -> bool:
-    """Whether the run of fixes `rows` is too short to be looked at by itself, and early: of a receiver that settles."""
-    lasts = t[rows[-1]] - t[rows[0]]
-    return bool(LEAST < lasts <= 2.0 * LATER and t[rows[-1]] - t[known[0]] < EARLY and rows[-1] < known[-1])
 
 
 def without_positions(session: Session, out: BoolArray) -> Session:
@@ -88,28 +68,6 @@ def settling_problems(t: Array, out: BoolArray) -> tuple[Problem, ...]:
         "minute before driving"
     )
     return (Problem(UNSETTLED, text, int(out.sum())),)
-
-
-def _released_at(t: Array, position: Array, error: Array, usual: float) -> int:
-    """Index of the first fix after those that were held far off, at t (M,) s; 0 if none were.
-
-    position, error (M, 2) m, `usual` m as below. While it holds, the error goes on unseen, and is far off at the end
-    where it has gone farther than one that wanders goes in as long.
-    """
-    first, end = _first_hold(t, position)
-    if end in (0, len(t)) or t[first] - t[0] > EARLY:
-        return 0
-    after = min(int(np.searchsorted(t, t[end] + LEAST)), len(t) - 1)
-    step = float(np.hypot(*(error[after] - error[(first + end) // 2])))
-    return end if step > _far(float(t[end] - t[0]), usual) else 0
-
-
-def _first_hold(t: Array, position: Array) -> tuple[int, int]:
-    """Index of the first fix at t (M,) s whose position (M, 2) m is held for HELD s, and of the next other; 0, 0."""
-    moves = np.flatnonzero(np.hypot(*np.diff(position, axis=0).T) > SAME) + 1
-    first, end = np.append(0, moves), np.append(moves, len(t))
-    long = np.flatnonzero(t[end - 1] - t[first] >= HELD)
-    return (int(first[long[0]]), int(end[long[0]])) if long.size else (0, 0)
 
 
 def _far(lasts: float, usual: float) -> float:
