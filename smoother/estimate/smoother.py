@@ -21,9 +21,9 @@ from smoother.estimate.initial.begin import AlignedSession, begin
 from smoother.estimate.initial.guess import Start
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.state import COLUMNS
-from smoother.estimate.output.estimated import Estimated, attitude_variance, without_samples
+from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.identified import field_values
-from smoother.estimate.output.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
+from smoother.estimate.output.mounting import FittedMounting, along_wheels, fit_mounting, without_heading
 from smoother.estimate.output.problems import early, shaken, too_far, too_few, unlike
 from smoother.estimate.output.trajectory import build_trajectory, row_times
 from smoother.estimate.preprocess.clock import clock_problems, clock_scale, in_session_time, in_true_time
@@ -163,12 +163,7 @@ def _fitted_mounting(found: Estimated, start: Start) -> FittedMounting:
     state, known = found.state, found.known
     height_sigma = float(np.sqrt(2.0) * known.noise.offset_sigma[2]) if known.has_height else None
     mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing, height_sigma)
-    if not mounting.is_fitted:
-        return mounting
-    mean, common = attitude_variance(found, mounting.R_bs, without_samples(start.fine))
-    own = float(max(mean[0] - common[0], 0.0))
-    mounting = on_its_ground(mounting, state, own, start.fine.missing)
-    if known.wheels_heading is None:
+    if not mounting.is_fitted or known.wheels_heading is None:
         return mounting
     slip = COLUMNS["slip"].start
     return along_wheels(mounting, state, float(known.constants_covariance[slip, slip]) + known.wheels_heading)

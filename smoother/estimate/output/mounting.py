@@ -16,12 +16,11 @@ from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
 from smoother.estimate.model.imu import are_observed
 from smoother.estimate.model.state import State
-from smoother.estimate.output.ground import CELL, Visits
 from smoother.estimate.preprocess.path_motion import MIN_SPEED
 from smoother.fit.running import gaussian_mean
-from smoother.frames import to_left, wrap_angle
+from smoother.frames import wrap_angle
 from smoother.trajectory import Keyframes
-from smoother.units import ANY_ANGLE, DEG, STANDARD_GRAVITY
+from smoother.units import ANY_ANGLE, DEG
 
 MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
 ROUGH = np.pi / 4.0  # sigma about each axis of a mounting that could not be fitted
@@ -30,27 +29,7 @@ MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass
 SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
 ROAD_SLOPE = 0.05  # of roads that lead from one place to another, where no height tells
-# What roll has of the place on level ground: kerbs that lift one side lap after lap, frames that do not give in
-# proportion. Up to 0.18 deg on the level tracks of an independent simulator, 0.5 to 1.2 on those that are not
-ROCKING = 0.2 * DEG
-# However steep some banks are, what a track falls by all the way round is for the water: 1.5 to 3 % along straights
-# (FIA, Appendix O to the International Sporting Code, 7.5)
-CROSSFALL = 0.022
-BANK = 2.0 * CELL  # m, after which ground may fall to another side
-# rad at 1 g by which a vehicle leans, either way: what is known of that before it is driven. Karts lean outwards by up
-# to 1.2 deg, cars by 2 to 6; and how far from in proportion to the push
-LEAN = np.array([3.0, 1.0]) * DEG
-FOUND, MOST_ROUNDS = 0.01, 100  # relative change of the ground's variance from one round to the next; each is quick
 STEERED = 0.6  # least correlation of that with slip
-# A calm hand moves the wheel by less, and the box still leans into each bend: on the columns of a simulator of other
-# making by 1.3 to 7 deg per g of push. Frames lean outwards, by up to 1.2, and on banks of 12 % inwards, by 1 to 2
-LEAN_IN, SURE = 1.0 * DEG, 4.0  # rad per g, and sigmas of it
-# So the quickest has to tell: in less than a second hardly a road changes its bank. Lean in parts of a slip that the
-# push does not explain is on a column the tangent of its angle with up, less what else the slip has: 0.42 to 1.3 on
-# those, 1.1 on two real wheels, and within 0.3 of zero on the banks. Motorcycles have more
-HAND_SPAN = 0.7  # s
-COLUMNS = (0.4, 2.1)  # 22 to 65 deg
-WILD = 6.0  # times the usual slip: spins'
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,55 +86,6 @@ def fit_mounting(
         R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
     sigma[1] = np.hypot(sigma[1], _slope_sigma(state, use, height_sigma))
     return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
-
-
-def on_its_ground(
-    mounting: FittedMounting, state: State, unsure: float, missing: Array | None = None
-) -> FittedMounting:
-    """Return `mounting`, fitted to `state`, with its roll as unsure as the ground around the lap is unlevel.
-
-    unsure, rad^2: variance of the keyframes' own errors of roll; missing as for :func:`fit_mounting`. Ground that falls
-    by a degree more here than there was not made level to a tenth of it on average: that the mean over the lap is off
-    by about as much as places differ is taken for granted. What falls to one side everywhere and alike does not show.
-
-    Where all turns go to one side, roll without a push is beyond all that was measured, by a slope that the ground has
-    a part in. A straight line through roll takes from the ground what happens to go with push there, by as much as
-    stretches that fall their own way are few: the line has what is known beforehand beside it (LEAN), and the ground
-    all that the line leaves, and what that is unsure by. Source: Foerstner 1979, of a line with a prior; the expected
-    squares are those of the EM algorithm (Dempster, Laird and Rubin 1977).
-    """
-    use = _are_fitted(state, missing)
-    t, position_n, velocity_n = state.t[use], state.position_n[use], state.velocity_n[use]
-    visits = Visits.of(t, position_n, velocity_n)
-    if visits.rows < MIN_KEYFRAMES:
-        return mounting
-    acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
-    R_nb = state.R_ns[use] @ mounting.R_bs.T
-    push, roll = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n) / STANDARD_GRAVITY, R_nb[:, 2, 1]
-    lap = float(np.sum(np.hypot(velocity_n[:, 0], velocity_n[:, 1]))) * state.interval / visits.each
-    # beside the push its signed square: frames that give by more or less than in proportion do so to both sides
-    design = np.stack([push, push * np.abs(push)], axis=1)
-    _, _, weight = _robust_line(np.column_stack([np.ones(len(push)), design]), roll)
-    weight = weight / np.sum(weight)
-    mean_push, mean_roll = weight @ design, float(weight @ roll)
-    design, roll = design - mean_push, roll - mean_roll
-    weighted = (design * weight[:, None]).T
-    spread, together = weighted @ design, weighted @ roll
-    slopes, covariance, unlevel = np.zeros(len(LEAN)), np.diag(LEAN**2), np.inf
-    for _ in range(MOST_ROUNDS):
-        before = unlevel
-        unlevel = visits.variance(roll - design @ slopes) + float(np.trace(spread @ covariance)) - unsure - ROCKING**2
-        if unlevel <= 0.0:
-            return mounting
-        known = max(lap / BANK, 1.0) / unlevel
-        covariance = np.linalg.inv(np.diag(LEAN**-2.0) + known * spread)
-        slopes = covariance @ (known * together)
-        if abs(unlevel - before) < FOUND * unlevel:
-            break
-    upright = mean_roll - float(mean_push @ slopes)
-    variance = mounting.sigma[0] ** 2 + min(unlevel, CROSSFALL**2) + float(mean_push @ covariance @ mean_push)
-    sigma = np.array([np.sqrt(variance), *mounting.sigma[1:]])
-    return replace(mounting, R_bs=so3.exp(np.array([upright, 0.0, 0.0])) @ mounting.R_bs, sigma=sigma)
 
 
 def _are_fitted(state: State, missing: Array | None) -> BoolArray:
@@ -217,36 +147,9 @@ def swing_on_the_wheel(keyframes: Keyframes, *, is_steered: bool = False) -> Arr
     swing = float(np.std(quick_lean))
     together = np.corrcoef(quick_lean, quick_slip)[0, 1]
     is_swung = swing > SWING and (is_steered or swing**2 > 2.0 * unsure) and together > STEERED
-    if not (is_swung or _leans_with_the_hand(keyframes, lean, slip, driving, unsure)):
+    if not is_swung:
         return None
     return np.array([np.std(lean[driving]), 0.0, np.std(wrap_angle(slip[driving]))])
-
-
-def _leans_with_the_hand(keyframes: Keyframes, lean: Array, slip: Array, driving: BoolArray, unsure: float) -> bool:
-    """Whether a box leans into the bends and, within less time than a bank takes, leans and turns as on one axle.
-
-    lean, slip (K,) rad; driving (K,); unsure, rad^2: of lean. What turns about a column does both in one ratio,
-    whatever the kart does. A frame twists and slides by the push to the side: what that explains is left out.
-    """
-    interval = float(keyframes.t[1] - keyframes.t[0])
-    push, memory = _push(keyframes), max(1, round(MEMORY / interval))
-    design = np.stack([push, np.ones(len(push))], axis=1)[driving]
-    inwards, sigma = _first_of_line(design, -lean[driving], memory)
-    if not max(LEAN_IN, SURE * sigma) < inwards or inwards**2 * np.mean(design[:, 0] ** 2) < 2.0 * unsure:
-        return False
-    width = 0.5 * HAND_SPAN / interval
-    quick = np.stack([values - gaussian_mean(values, width) for values in (slip, push, lean)], axis=1)[driving]
-    quick = quick[np.abs(quick[:, 0]) < WILD * np.median(np.abs(quick[:, 0]))]
-    ratio, sigma = _first_of_line(quick[:, :2], quick[:, 2], memory)
-    return COLUMNS[0] < ratio < COLUMNS[1] and ratio > SURE * sigma
-
-
-def _push(keyframes: Keyframes) -> Array:
-    """Acceleration to the left of the path (K,), in g."""
-    velocity = keyframes.velocity_n[:, :2]
-    change = np.gradient(velocity, keyframes.t, axis=0)
-    across = to_left(velocity, change)
-    return np.asarray(across / np.maximum(np.hypot(*velocity.T), MIN_SPEED) / STANDARD_GRAVITY)
 
 
 def _first_of_line(design: Array, angle: Array, memory: int) -> tuple[float, float]:

@@ -1,6 +1,5 @@
 """The mounting from path and attitude, on states whose slip and lean are known."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,16 +9,14 @@ from smoother import so3
 from smoother.estimate.model.imu import are_observed
 from smoother.estimate.model.state import State
 from smoother.estimate.output.mounting import (
-    CROSSFALL,
     FittedMounting,
     along_wheels,
     fit_mounting,
-    on_its_ground,
     swing_on_the_wheel,
 )
 from smoother.frames import rotation_from_euler
 from smoother.trajectory import Keyframes
-from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.units import DEG
 
 from .still_state import state_of
 
@@ -122,122 +119,6 @@ def test_pitch_is_as_unsure_as_the_mean_slope_of_the_road() -> None:
     assert road[1] == pytest.approx(np.hypot(known[1], 0.025), rel=0.01)
 
 
-def state_of_laps(
-    R_bs: np.ndarray, bank: Callable[[np.ndarray], np.ndarray], noise: float = 0.1 * DEG, give: float = 0.0
-) -> State:
-    """Six laps of 50 s with bends to both sides. bank: roll rad of the ground at 0..2 pi around the lap.
-
-    noise, rad: of roll, of each keyframe its own; give, rad: what the frame leans at 1 g beyond 1 deg per g.
-    """
-    t = INTERVAL * np.arange(K)
-    phase = 2.0 * np.pi * t / 50.0
-    position_n = np.stack([100.0 * np.cos(phase), 50.0 * np.sin(phase), np.zeros(K)], axis=1)
-    position_n[:, :2] += np.stack([25.0 * np.sin(3.0 * phase), 25.0 * np.cos(3.0 * phase)], axis=1)
-    velocity_n = np.gradient(position_n, t, axis=0)
-    acceleration_n = np.gradient(velocity_n, t, axis=0)
-    speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
-    push = (
-        (velocity_n[:, 0] * acceleration_n[:, 1] - velocity_n[:, 1] * acceleration_n[:, 0]) / speed / STANDARD_GRAVITY
-    )
-    roll = bank(phase) + 1.0 * DEG * push + give * push * np.abs(push)
-    roll += noise * np.random.default_rng(7).standard_normal(K)
-    R_nb = rotation_from_euler(roll, np.zeros(K), np.arctan2(velocity_n[:, 1], velocity_n[:, 0]))
-    return state_of(t, R_nb @ R_bs, velocity_n, position_n)
-
-
-def uneven(rms: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Ground that falls to one side by `rms` rad on average, and by that much more and less around the lap."""
-    return lambda phase: rms * (1.0 + np.sin(phase + 1.0) + np.sin(5.0 * phase))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_roll_is_as_unsure_as_the_ground_around_the_lap_is_unlevel(seed: int) -> None:
-    R_bs = random_rotation(seed)
-    state = state_of_laps(R_bs, uneven(0.8 * DEG))
-    fitted = fit_mounting(state, rough(R_bs, seed))
-    found = on_its_ground(fitted, state, (0.1 * DEG) ** 2)
-    error = so3.log(R_bs @ found.R_bs.T)[0]
-    assert abs(error) > 3.0 * fitted.sigma[0]  # the fit alone takes laps for so many different roads
-    assert abs(error) < 2.0 * found.sigma[0]
-    assert found.sigma[0] == pytest.approx(0.8 * DEG, rel=0.2)  # less what the line over acceleration takes of it
-    np.testing.assert_array_equal(found.sigma[1:], fitted.sigma[1:])
-    # bends to both sides: what leans shows
-    np.testing.assert_allclose(so3.log(found.R_bs @ fitted.R_bs.T), 0.0, atol=0.05 * found.sigma[0])
-
-
-@pytest.mark.parametrize("noise", [0.05 * DEG, 0.6 * DEG])
-@pytest.mark.parametrize("give", [0.0, 0.3 * DEG])
-def test_on_level_ground_roll_is_as_sure_as_before(noise: float, give: float) -> None:
-    """However noisy attitude is, and though frames give by more than in proportion."""
-    R_bs = random_rotation(1)
-    state = state_of_laps(R_bs, np.zeros_like, noise, give)
-    fitted = fit_mounting(state, R_bs)
-    np.testing.assert_array_equal(on_its_ground(fitted, state, noise**2).sigma, fitted.sigma)
-
-
-def test_errors_of_attitude_that_are_known_do_not_pass_for_ground() -> None:
-    R_bs = random_rotation(1)
-    state = state_of_laps(R_bs, uneven(0.6 * DEG))
-    fitted = fit_mounting(state, R_bs)
-    assert on_its_ground(fitted, state, (0.1 * DEG) ** 2).sigma[0] > 0.4 * DEG
-    np.testing.assert_array_equal(on_its_ground(fitted, state, (0.7 * DEG) ** 2).sigma, fitted.sigma)
-
-
-def test_no_track_falls_to_one_side_all_the_way_by_more_than_water_needs() -> None:
-    R_bs = random_rotation(1)
-    state = state_of_laps(R_bs, uneven(4.0 * DEG))
-    fitted = fit_mounting(state, R_bs)
-    found = on_its_ground(fitted, state, 0.0)
-    assert found.sigma[0] == pytest.approx(np.hypot(fitted.sigma[0], CROSSFALL), rel=0.07)  # and what leans on it
-
-
-def state_of_oval(R_bs: np.ndarray, bank: Callable[[np.ndarray], np.ndarray], side: float = 1.0) -> State:
-    """Laps of 15 s around an ellipse of 34 by 26 m, to the left (side 1) or right (-1); bank as for other laps."""
-    t = INTERVAL * np.arange(K)
-    phase = 2.0 * np.pi * t / 15.0 + 0.05 * np.sin(2.0 * np.pi * t / 73.0)
-    position_n = np.stack([34.0 * np.cos(phase), side * 26.0 * np.sin(phase), np.zeros(K)], axis=1)
-    velocity_n = np.gradient(position_n, t, axis=0)
-    acceleration_n = np.gradient(velocity_n, t, axis=0)
-    speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
-    push = (velocity_n[:, 0] * acceleration_n[:, 1] - velocity_n[:, 1] * acceleration_n[:, 0]) / speed
-    roll = bank(phase) + 1.0 * DEG * push / STANDARD_GRAVITY
-    roll += 0.1 * DEG * np.random.default_rng(7).standard_normal(K)
-    R_nb = rotation_from_euler(roll, np.zeros(K), np.arctan2(velocity_n[:, 1], velocity_n[:, 0]))
-    return state_of(t, R_nb @ R_bs, velocity_n, position_n)
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize("falls", np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False))
-def test_where_all_turns_go_to_one_side_roll_is_as_unsure_as_what_leans(falls: float, side: float) -> None:
-    """Ground level on average, whose fall goes with the push of the bends or not, as `falls` has it: rad, of its phase.
-
-    It is told from what leans by a spread of the push that is a third of it.
-    """
-    R_bs = random_rotation(1)
-    state = state_of_oval(R_bs, lambda phase: 1.2 * DEG * (np.sin(phase) + 0.8 * np.cos(2.0 * phase + falls)), side)
-    fitted = fit_mounting(state, R_bs)
-    found = on_its_ground(fitted, state, (0.1 * DEG) ** 2)
-    first, error = (abs(so3.log(R_bs @ each.R_bs.T)[0]) for each in (fitted, found))
-    assert error < 2.0 * found.sigma[0]
-    assert found.sigma[0] > 1.2 * DEG
-    assert error < max(first, 1.0 * DEG)
-
-
-def test_level_ground_takes_nothing_from_roll_on_an_oval() -> None:
-    R_bs = random_rotation(1)
-    state = state_of_oval(R_bs, np.zeros_like)
-    fitted = fit_mounting(state, R_bs)
-    assert on_its_ground(fitted, state, (0.1 * DEG) ** 2) is fitted
-
-
-def test_of_a_road_that_is_driven_once_the_ground_does_not_show() -> None:
-    R_bs = random_rotation(1)
-    state = state_of_laps(R_bs, uneven(0.8 * DEG))
-    away = replace(state, position_n=state.position_n + np.outer(10.0 * state.t, [1.0, 0.0, 0.0]))
-    fitted = fit_mounting(away, R_bs)
-    np.testing.assert_array_equal(on_its_ground(fitted, away, 0.0).sigma, fitted.sigma)
-
-
 def test_wild_slides_are_left_out() -> None:
     R_bs = random_rotation(2)
     state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
@@ -301,79 +182,6 @@ def test_where_the_samples_tell_a_wheel_attitudes_may_be_as_unsure_as_it_swings(
     assert swing is not None
     assert swing[0] > 3.0 * DEG
     assert swing_on_the_wheel(keyframes_of_drive(0.0, 0.5 * DEG, 9.0 * DEG), is_steered=True) is None
-
-
-def keyframes_of_calm_drive(
-    wheel: float = 0.0,
-    hand: float = 0.0,
-    bank: float = 0.0,
-    column: float = 50.0 * DEG,
-    lean: float = 0.09 * DEG,
-    rocking: float = 0.0,
-    seed: int = 6,
-) -> Keyframes:
-    """A kart on laps whose driver moves the wheel little beside what the bends need, and a box on the column, or not.
-
-    wheel: rad of it per 1/m of curvature; hand: rms rad beside that; bank: rad inwards per 1/m of curvature of the
-    road; lean: rad of the frame outwards per m/s^2; rocking: rms rad.
-    """
-    state = state_of_drive(np.eye(3), slip=-0.25 * DEG, lean=lean, noise=0.05 * DEG, turns=0.05)
-    rng = np.random.default_rng(seed)
-    course = np.unwrap(np.arctan2(state.velocity_n[:, 1], state.velocity_n[:, 0]))
-    curvature = np.gradient(course, INTERVAL) / np.hypot(*state.velocity_n[:, :2].T)
-    quick = np.convolve(rng.normal(size=K), [0.25, 0.5, 0.25], mode="same") / np.sqrt(0.375)
-    angle = (wheel * curvature + hand * quick)[:, None]
-    axis = np.array([-np.sin(column), 0.0, np.cos(column)])
-    banked = so3.exp(-bank * curvature[:, None] * np.array([1.0, 0.0, 0.0]))
-    rocks = so3.exp(rng.normal(size=(K, 1)) * [rocking, 0.0, 0.0])
-    R_nb = state.R_ns @ banked @ so3.exp(angle * axis) @ rocks
-    covariance = np.tile(np.diag([(0.15 * DEG) ** 2] * 9), (K, 1, 1))
-    zeros = np.zeros((K, 3))
-    return Keyframes(state.t, zeros, state.velocity_n, R_nb, covariance, zeros, zeros, zeros, zeros)
-
-
-@pytest.mark.parametrize("column", [30.0 * DEG, 60.0 * DEG])
-def test_a_box_on_the_wheel_of_a_calm_driver_is_noticed_by_how_it_leans_into_bends(column: float) -> None:
-    calm = keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG, column=column)
-    swing = swing_on_the_wheel(calm)
-    assert swing is not None
-    assert 0.5 * DEG < swing[0] < 6.0 * DEG
-    assert swing[1] == 0.0
-    assert 0.5 * DEG < swing[2] < 6.0 * DEG
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        keyframes_of_calm_drive(),  # a box in the floor
-        keyframes_of_calm_drive(lean=0.25 * DEG),  # of a soft frame
-        keyframes_of_calm_drive(bank=1.6),  # where each bend is banked
-        keyframes_of_calm_drive(hand=0.4 * DEG),  # a hand moves it, and the bends do not
-        keyframes_of_calm_drive(bank=1.6, hand=0.4 * DEG, column=10.0 * DEG),  # there, of a kart that is corrected
-        keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG, column=80.0 * DEG),  # it rocks about its length
-    ],
-)
-def test_what_leans_otherwise_is_not_taken_for_a_calm_drivers_wheel(other: Keyframes) -> None:
-    assert swing_on_the_wheel(other) is None
-
-
-def test_spins_do_not_hide_a_box_on_the_wheel_of_a_calm_driver() -> None:
-    calm = keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG)
-    spun = np.zeros((K, 3))
-    for middle in (300, 700, 1300):
-        spun[:, 2] += np.pi * np.exp(-0.5 * ((np.arange(K) - middle) / 3.0) ** 2)
-    assert swing_on_the_wheel(replace(calm, R_nb=calm.R_nb @ so3.exp(spun))) is not None
-
-
-def test_where_roll_is_not_known_a_calm_drivers_wheel_does_not_show() -> None:
-    calm = keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG)
-    unsure = np.tile(np.diag([(8.0 * DEG) ** 2] * 9), (K, 1, 1))
-    assert swing_on_the_wheel(replace(calm, covariance=unsure)) is None
-
-
-def test_a_box_that_rocks_on_banks_does_not_pass_for_one_on_the_wheel_by_luck() -> None:
-    karts = (keyframes_of_calm_drive(bank=1.6, rocking=1.0 * DEG, seed=seed) for seed in range(12))
-    assert not any(swing_on_the_wheel(kart) is not None for kart in karts)
 
 
 def test_attitudes_in_a_hole_of_the_samples_have_no_say() -> None:
