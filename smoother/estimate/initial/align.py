@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, runs_of
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
 from smoother.estimate.preprocess.gains import Gains
@@ -51,9 +51,6 @@ ENOUGH_FOR_LAG, ENOUGH = 500, 4000
 SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
 SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
 BESIDE_SPIN = 1.0  # s
-# rad by which course and nose part between two drives, one of which goes backwards, by FEW_BESIDE fixes of each; how
-# steady they are meanwhile, and s for which; s in between, in which a gyroscope is not yet off by as much
-BACKWARDS, FEW_BESIDE, STEADY, LONGEST_BACK, TURNS_BACK = 0.75 * np.pi, 15, 0.8, 60.0, 60.0
 MOST_SPUN = 0.4  # share of the fixes; beyond, it is the gyro that does not turn as the kart does
 
 
@@ -209,7 +206,6 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
         yaw = np.interp(t, imu.t, of_gyro)
     else:
         times, course = path.t[moving] - alignment.lag, path.yaw[moving]
-        course = course + np.pi * _backwards(path.t, moving, course - np.interp(times, imu.t, of_gyro))
         seen = ~_unsampled(imu.t, times)
         if not np.any(seen):
             seen[:] = True
@@ -220,46 +216,6 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
         yaw = np.where(_unsampled(imu.t, t), np.interp(t, times, np.unwrap(course)), yaw)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
-
-
-def _backwards(t: Array, moving: BoolArray, difference: Array) -> BoolArray:
-    """Mask (M,) of those of the fixes at t (N,) s that move (N,) whose course points where the kart's tail does.
-
-    difference (M,) rad: course less the gyro's yaw. From the drive before to a drive backwards, and from there to the
-    one after, it jumps by half a turn while the kart is too slow to have a course. A spin has one all the way.
-    """
-    times, phasors, out = t[moving], np.exp(1j * difference), np.zeros(len(difference), dtype=np.bool_)
-    drives = _drives(times, moving, phasors)
-    for before, drive, after in zip(drives, drives[1:], drives[2:], strict=False):
-        here = slice(drive[0].start, drive[-1].stop)
-        to_either = times[here.start] - times[before[-1].stop - 1], times[after[0].start] - times[here.stop - 1]
-        most = sum(rows.stop - rows.start for rows in (*before, *after))
-        is_nose = out[before[-1].start] or here.stop - here.start > most  # between two drives backwards
-        is_short = max(to_either) < TURNS_BACK and times[here.stop - 1] - times[here.start] < LONGEST_BACK
-        out[here] = not is_nose and is_short and abs(np.mean(phasors[here])) > STEADY
-    return out if np.mean(out) < MOST_SPUN else np.zeros_like(out)
-
-
-def _drives(times: Array, moving: BoolArray, phasors: ComplexArray) -> list[list[slice]]:
-    """Rows of the fixes that move, at times (M,) s, by drive: runs of them that last, up to where the angle jumps."""
-    first, behind = runs_of(moving)
-    ends = np.cumsum(behind - first)
-    drives: list[list[slice]] = []
-    for start, stop in zip((ends - (behind - first)).tolist(), ends.tolist(), strict=True):
-        rows = slice(start, stop)
-        if times[stop - 1] - times[start] <= BESIDE_SPIN:
-            continue
-        if drives and _apart(phasors, drives[-1][-1], rows) < BACKWARDS:
-            drives[-1].append(rows)
-        else:
-            drives.append([rows])
-    return drives
-
-
-def _apart(phasors: ComplexArray, before: slice, after: slice) -> float:
-    """By how much, rad, angles, as phasors (M,), jump from the end of one run of rows to the beginning of the next."""
-    one, other = phasors[before][-FEW_BESIDE:], phasors[after][:FEW_BESIDE]
-    return abs(float(np.angle(np.sum(other) * np.conj(np.sum(one)))))
 
 
 def _unwrapped(t: Array, angle: Array) -> Array:
