@@ -5,14 +5,13 @@ or slow. The stamps are therefore a straight line in the sample number, with a s
 steps where samples were lost. What is none of that (a logger that samples when it finds the time) is left alone.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, is_increasing, median, runs_of
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, is_increasing, median
 from smoother.disc import pieces, release, roomy
-from smoother.samples import BESIDE, Problem, are_gaps, usual_step, usual_steps
+from smoother.samples import Problem, are_gaps
 from smoother.units import MICROSECOND
 from smoother.words import counted, span
 
@@ -47,7 +46,6 @@ SHORTEST_BIN = 30.0  # s
 LARGEST_DRIFT = 2e-3  # of one clock against the other; more is not a clock
 WORST_ENVELOPE = 0.02  # s; how far the least delays may lie off the line
 ODD_UTC = 1.0  # s; a fix whose UTC is off by more (leap seconds not yet known) keeps its receive time
-SHORTEST_SLOWER = 1.0  # s of samples that come more slowly than usual, that are worth a word
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 GAP_TIMES = 1.5  # usual steps
 STEPS_BESIDE = 15  # on either side of one, which tell the rate there
@@ -80,39 +78,11 @@ class TimeBase:
 def regularize(t: Array) -> TimeBase:
     """Even out the stamps t (N,) s, strictly increasing, of samples taken at a steady rate.
 
-    Lost samples stay gaps, a rate that changes slowly is followed; where it falls for a while, stretch by stretch.
+    Lost samples stay gaps, a rate that changes slowly is followed.
     Stamps that are even already, too few, or of a sampling that is itself irregular come back unchanged (jitter 0).
     Many hours are done part by part.
     """
-    return _regularize_rates(t) if t.size <= PART else _regularize_parts(t)
-
-
-def _regularize_rates(t: Array) -> TimeBase:
-    ends = _rate_changes(t)
-    if not ends:
-        return _regularize_part(t)
-    bases = [_regularize_rates(part) for part in np.split(t, ends)]
-    most = max(bases, key=lambda base: base.t.size)
-    even = np.concatenate([base.t for base in bases])
-    if not is_increasing(even):
-        return TimeBase(t, most.period, is_steady=False)
-    jitter = math.sqrt(sum(base.jitter**2 * base.t.size for base in bases) / t.size)
-    return TimeBase(even if jitter > 0.0 else t, most.period, jitter, all(base.is_steady for base in bases))
-
-
-def _rate_changes(t: Array) -> list[int]:
-    """Indices at which stamps t (N,) s begin to come more slowly, for PERIOD_WINDOW samples or more, or end to."""
-    if t.size < 2 * PERIOD_WINDOW:
-        return []
-    usual = usual_step(t)
-    slower = usual_steps(np.diff(t), usual) > usual
-    if not np.any(slower):
-        return []
-    around = np.ones(2 * BESIDE + 1)  # jitter makes some of them short
-    first, behind = runs_of(np.convolve(slower, around, "same") > BESIDE)
-    long = behind - first >= PERIOD_WINDOW
-    ends = np.column_stack([first[long], behind[long]]).ravel() + 1
-    return [int(i) for i in ends if 0 < i < t.size]
+    return _regularize_part(t) if t.size <= PART else _regularize_parts(t)
 
 
 def _regularize_parts(t: Array) -> TimeBase:
@@ -200,25 +170,10 @@ def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
         gap_count = counted(gaps.size, "gap")
         text = f"{file}: {gap_count} in the samples, the longest {span(gaps.max())}, {span(gaps.sum())} in all"
         problems.append(Problem(f"{prefix}_gap", text, int(gaps.size)))
-    slower = _slower_steps(base)
-    if (lasts := float(np.sum(slower))) > SHORTEST_SLOWER:
-        rate, usual = 1.0 / float(np.median(slower)), 1.0 / base.period
-        text = f"{file}: samples come {rate:.0f} times a second for {span(lasts)}, {usual:.0f} times else"
-        problems.append(Problem(f"{prefix}_rate_fell", text))
     if base.jitter > JITTER_WORTH_SAYING * base.period:
         text = f"{file}: times of samples scatter by {1e3 * base.jitter:.1f} ms rms; made even"
         problems.append(Problem(f"{prefix}_jitter", text))
     return problems
-
-
-def _slower_steps(base: TimeBase) -> Array:
-    """The steps (M,) s where samples come more slowly than usual for a while."""
-    found = []
-    for part in pieces(max(0, base.t.size - 1)):
-        steps = np.diff(base.t[part.start : part.stop + 1])
-        found.append(steps[usual_steps(steps, base.period) > base.period])
-        release(base.t)
-    return np.concatenate(found) if found else np.empty(0)
 
 
 def _period(t: Array) -> float:

@@ -38,8 +38,6 @@ _SENTENCE = re.compile(
 _TIME_OF_DAY = re.compile(r"^(\d\d)(\d\d)(\d\d(?:\.\d*)?)$")
 _COORDINATE = re.compile(r"^\d{3,5}(?:\.\d*)?$")
 _PRECEDENCE = ("VTG", "RMC", "GNS", "GGA", "GST", "ZDA")  # later ones overrule: VTG only fills what RMC leaves out
-_FEWEST_SECONDS = 8  # to know how many fixes come in one
-_MOSTLY_DIFFERENT, _MOSTLY_EVEN = 0.5, 0.9  # share of sentences that are no copies; of seconds with as many as usual
 _TALKERS = ("GN", "GP")  # preferred in this order where several constellations report the same kind
 _TALKER_CODES = 65536  # two letters
 _FIRST_YEAR = 80  # of GPS time, and of the century
@@ -91,16 +89,12 @@ class _Tally:
     unreadable: int = 0
     duplicate: int = 0
     misplaced: int = 0
-    are_whole_seconds: bool = False  # of several fixes each
 
     def problems(self, file: str) -> list[Problem]:
-        twice = "written twice; the second dropped"
-        if self.are_whole_seconds:
-            twice = "beside another fix of the same second; times without fractions cannot separate them; dropped"
         said = (
             ("gps_bad_checksum", self.checksum, "{} with a wrong checksum; dropped"),
             ("gps_bad_sentence", self.unreadable, "{} cut short or unreadable; dropped"),
-            ("gps_duplicate_sentence", self.duplicate, f"{{}} {twice}"),
+            ("gps_duplicate_sentence", self.duplicate, "{} of the time of another; dropped"),
             ("gps_misplaced_sentence", self.misplaced, "{} out of order; placed by their UTC"),
         )
         return [
@@ -146,8 +140,6 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
     utc = over_midnight(sentences.time_of_day[timed])
     unit = unit_by_utc(sentences.received[timed], utc)
     received_s, said = in_seconds(sentences.received, unit, "gps", file)
-    utc, said_of_seconds = _spread_whole_seconds(sentences, timed, utc, tally, file)
-    said += said_of_seconds
     sentences = replace(sentences, received=received_s)
     columns, has_receive_times = _merge(sentences, timed, utc, tally, velocities)
     gnss, problems = screen_fixes(columns, file)
@@ -309,49 +301,6 @@ _COLUMNS_OF = {
     "VTG": ("speed", "course_deg"),
     "ZDA": ("day",),
 }
-
-
-def _spread_whole_seconds(
-    sentences: _Sentences, timed: BoolArray, utc: Array, tally: _Tally, file: str
-) -> tuple[Array, list[Problem]]:
-    """UTC (N,) s of the timed sentences with fractions where a receiver leaves them out but has several fixes a second.
-
-    Where as many come in most seconds they are spread evenly, and said; else `tally` knows.
-    """
-    if np.any(utc != np.floor(utc)):
-        return utc, []
-    stream = sentences.stream[timed]
-    names, sizes = np.unique(stream, return_counts=True)
-    main = np.flatnonzero(stream == names[np.argmax(sizes)])
-    group, size = _of_one_second(utc[main])[:2]
-    again = np.flatnonzero(np.diff(group) == 0) + 1
-    kind, talker = sentences.kind[timed][main[0]], sentences.talker[timed][main[0]]
-    of_main = (timed & (sentences.talker == talker))[sentences.kind == kind]
-    values = sentences.values[_PRECEDENCE[int(kind)]][of_main]
-    differs = np.any(np.abs(values[again] - values[again - 1]) > 0.0, axis=1)
-    if size.size < _FEWEST_SECONDS or (usual := int(np.median(size))) < 2 or np.mean(differs) < _MOSTLY_DIFFERENT:
-        return utc, []
-    if np.mean(size[1:-1] == usual) < _MOSTLY_EVEN:
-        tally.are_whole_seconds = True
-        return utc, []
-    spread = utc.copy()
-    for name in names:
-        rows = np.flatnonzero(stream == name)
-        group, size, place = _of_one_second(utc[rows])
-        room = np.maximum(size, usual)
-        if np.median(size) == usual:
-            place += np.where(group == 0, room[0] - size[0], 0)  # the first second is one that has begun
-        spread[rows] += place / room[group]
-    text = f"{file}: its times have no fractions of seconds; {usual} fixes a second spread evenly"
-    return spread, [Problem("gps_whole_seconds", text)]
-
-
-def _of_one_second(utc: Array) -> tuple[IntArray, IntArray, IntArray]:
-    """Which second (N,) each UTC (N,) s in file order is of, how many (K,) are of each, and the how manieth each is."""
-    new = np.append(True, np.diff(utc) != 0.0)
-    first = np.flatnonzero(new)
-    group = np.cumsum(new) - 1
-    return group, np.diff(np.append(first, utc.size)), np.arange(utc.size) - first[group]
 
 
 def _merge(

@@ -350,30 +350,6 @@ def test_a_position_written_again_while_moving_is_stale_but_not_while_standing(t
     assert len(fixes) == 50 and problems == []
 
 
-@pytest.mark.parametrize("has_speed", [True, False])
-@pytest.mark.parametrize(("rate", "often"), [(1, "once a second"), (5, "5 times a second")])
-def test_fixes_repeated_at_the_rate_of_a_sensor_count_once_at_rest_too(
-    tmp_path: Path, has_speed: bool, rate: int, often: str
-) -> None:
-    """A minute at rest, in which the receiver's noise shows at every fix, then a minute of driving."""
-    rng = np.random.default_rng(5)
-    t = np.arange(0.0, 120.0, 1.0 / rate)
-    speed = np.where(t < 60.0, 0.0, 12.0 + 3.0 * np.sin(t / 5.0)) + 0.02 * rng.standard_normal(t.size) ** 2
-    lat = 45 + (np.cumsum(speed) / rate + 0.1 * rng.standard_normal(t.size)) / 111_195
-    held = np.arange(0.0, 120.0, 0.02)
-    at = np.searchsorted(t, held + 1e-6) - 1
-    header = "t_s,lat_deg,lon_deg,alt_m" + (",speed_mps,course_deg" if has_speed else "")
-    rows = (
-        f"{a:.2f},{lat[k]:.8f},12.0,{8 + 0.1 * (k % 7):.1f}" + (f",{speed[k]:.3f},0.0" if has_speed else "")
-        for a, k in zip(held, at.tolist(), strict=True)
-    )
-    fixes, problems = read_fixes(save(tmp_path, "\n".join([header, *rows]) + "\n", "gps.csv"))
-    np.testing.assert_allclose(fixes.t, t, atol=1e-6)
-    assert [problem.text for problem in problems] == [
-        f"gps.csv: fixes come {often} and are repeated; {held.size - t.size} rows left out"
-    ]
-
-
 def test_of_a_position_that_hangs_while_the_kart_starts_only_the_moving_rows_are_stale(tmp_path: Path) -> None:
     rows = gps_rows(60)
     for k in range(20, 40):

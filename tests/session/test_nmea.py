@@ -132,29 +132,6 @@ def test_bad_checksums_cut_lines_and_garbage_are_counted_and_cost_only_themselve
     assert np.isnan(reading.gnss.speed[5]) and np.isnan(reading.gnss.speed[10])
 
 
-def whole_seconds(counts: list[int]) -> str:
-    """RMC and GGA at whole seconds, as many fixes in each as counted, 2 m apart."""
-    seconds = START + np.repeat(np.arange(len(counts)), counts)
-    return "".join(rmc(s, north=2.0 * k, course="0.0") + gga(s, north=2.0 * k) for k, s in enumerate(seconds.tolist()))
-
-
-def test_fixes_whose_times_lack_fractions_are_spread_within_their_second() -> None:
-    reading = read(whole_seconds([3, *[5] * 19, 2]))
-    np.testing.assert_allclose(reading.gnss.t, 0.2 * np.arange(100), atol=1e-9)
-    assert reading.gnss.unix_s[0] == pytest.approx(1717149600.4)
-    assert [problem.text for problem in reading.problems] == [
-        "log.nmea: its times have no fractions of seconds; 5 fixes a second spread evenly"
-    ]
-
-
-def test_fixes_of_one_second_that_come_unevenly_are_no_sentences_written_twice() -> None:
-    reading = read(whole_seconds([1, 4, 2, 5, 1, 3, 2, 4, 5, 1, 3, 2, 3, 2]))
-    (problem,) = [problem for problem in reading.problems if problem.code == "gps_duplicate_sentence"]
-    assert "48 NMEA sentences beside another fix of the same second; times without fractions" in problem.text
-    again = read("".join(rmc(START + k, north=10.0 * k) * 2 for k in range(20)))
-    assert len(again.gnss) == 20 and "20 NMEA sentences written twice" in again.problems[0].text
-
-
 def test_a_log_without_any_checksum_is_read() -> None:
     text = "".join(epochs(5))
     bare = "".join(line.split("*")[0] + "\r\n" for line in text.splitlines())

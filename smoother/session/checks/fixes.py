@@ -4,11 +4,11 @@ from functools import partial
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray
 from smoother.session.checks.table import Check, Finding, dropped
 from smoother.session.checks.velocity import VELOCITY_CHECKS
 from smoother.session.fix_columns import FixColumns, FixRows, metres, sent_speed, way_from_before
-from smoother.session.interpolated import on_drawn_lines, rows_at_knots
+from smoother.session.interpolated import on_drawn_lines
 from smoother.words import counted
 
 ABSURD_SPEED = 150.0  # m/s, 540 km/h
@@ -17,8 +17,6 @@ ABSURD_HEIGHT = (-1000.0, 20000.0)  # m
 UNUSABLE_SIGMA = 1000.0  # m; a receiver that says this of itself has no fix
 FEW_BAD_VALUES = 0.1  # above this share it is the column that is wrong, not the rows
 MOVING = 1.0  # m/s; faster than this a position does not repeat exactly
-HELD_SHARE = 0.5  # of the rows in motion that repeat the whole row before
-HELD_ROUND = 0.01  # of a fix a second
 STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no harm
 STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
 ROUNDING = 1e-4  # m; steps below come from the conversion
@@ -99,35 +97,6 @@ def _is_jump(t: Array, c: FixColumns) -> BoolArray:
     sweep(range(main + 1, bounds.size - 1), int(bounds[main + 1]) - 1)
     sweep(range(main - 1, -1, -1), int(bounds[main]))
     return bad
-
-
-def written_again(f: FixRows) -> Finding | None:
-    """Fixes each of which is written again until the next one comes, as at a sensor's rate."""
-    t, fresh = f.columns.t, _fresh_rows(f.columns.t, f.columns)
-    if fresh.size == t.size:
-        return None
-    rate, count = 1.0 / float(np.median(np.diff(t[fresh]))), t.size - fresh.size
-    often = "once a second" if abs(rate - 1.0) < HELD_ROUND else f"{rate:.3g} times a second"
-    lost = np.ones(t.size, dtype=np.bool_)
-    lost[fresh] = False
-    return Finding(f"fixes come {often} and are repeated; {counted(count, 'row')} left out", count, drop=lost)
-
-
-def _fresh_rows(t: Array, c: FixColumns) -> IntArray:
-    """Rows (K,) of the fixes where each is written again until the next one comes, as at a sensor's rate; else all.
-
-    At rest a receiver may repeat itself, while moving it does not. Rows at rest stay as often as fixes come.
-    """
-    if t.size < 3:
-        return np.arange(t.size)
-    values = [c.lat_deg, c.lon_deg, c.speed, c.course_deg, c.alt_m]
-    same = np.append(False, np.all([(v[1:] == v[:-1]) | np.isnan(v[1:] + v[:-1]) for v in values], axis=0))
-    moving = _speed_at_rows(t, c, ~same) > MOVING
-    if np.count_nonzero(same & _is_stale(t, c)) <= HELD_SHARE * np.count_nonzero(moving):
-        return np.arange(t.size)
-    fresh = np.flatnonzero(~same)
-    knots = rows_at_knots(t, t[fresh])
-    return fresh if knots is None else knots
 
 
 def stale(f: FixRows) -> Finding | None:
@@ -216,7 +185,6 @@ ROW_CHECKS = (
 )
 PATH_CHECKS = (
     *VELOCITY_CHECKS,
-    Check("gps_repeated", "fixes", (), written_again),
     Check("gps_jump", "fixes", (), jumps),
     Check("gps_repeated", "fixes", (), stale),
     Check("gps_drawn", "fixes", (), drawn),
