@@ -163,6 +163,14 @@ def test_the_sensors_of_another_video_are_not_taken(tmp_path: Path) -> None:
     assert all(name.startswith("GX010002") for name in inputs)
 
 
+def test_a_line_without_end_of_a_sensor_is_a_damaged_row(tmp_path: Path) -> None:
+    sensor_logger(tmp_path)
+    lines = (tmp_path / "Gyroscope.csv").read_text().splitlines()
+    lines[20] += "9" * 200_000
+    (tmp_path / "Gyroscope.csv").write_text("\n".join(lines) + "\n")
+    assert load_raw(tmp_path).imu is not None
+
+
 def tcx(t: float, lat: float, lon: float, speed: float) -> str:
     place = f"<LatitudeDegrees>{lat:.8f}</LatitudeDegrees><LongitudeDegrees>{lon:.8f}</LongitudeDegrees>"
     return (

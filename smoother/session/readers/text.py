@@ -189,19 +189,7 @@ def _split(lines: list[str], separator: str | None, width: int) -> tuple[list[li
     rows: list[list[str]] = []
     misfits = found = i = 0
     while i < len(lines):
-        if '"' not in lines[i]:
-            end = i + 1
-            while end < len(lines) and '"' not in lines[end]:
-                end += 1
-            for row in csv.reader(lines[i:end], delimiter=separator, quoting=csv.QUOTE_NONE):
-                fitted = _fitted(row, width)
-                if fitted is None:
-                    misfits, found = misfits + 1, found or len(row)
-                else:
-                    rows.append(fitted)
-            i = end
-            continue
-        row, used = _quoted(lines, i, separator, width)
+        row, used = _quoted(lines, i, separator, width) if '"' in lines[i] else (lines[i].split(separator), 1)
         if (fitted := _fitted(row, width)) is None:
             misfits, found = misfits + 1, found or len(row)
         else:
