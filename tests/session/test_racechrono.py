@@ -110,7 +110,7 @@ def test_rows_at_the_stamps_of_other_sensors_are_neither_fixes_nor_samples(tmp_p
     np.testing.assert_allclose(gnss.t[:-1], np.arange(len(gnss) - 1) / fix_rate, atol=2e-3)
     assert abs(len(gnss) - 60 * fix_rate) <= 1
     (said,) = reading.problems
-    assert said.code == "gps_interpolated" and "positions between fixes were made up" in said.text
+    assert said.code == "gps_interpolated" and "positions between fixes were interpolated" in said.text
     assert reading.imu is not None and abs(reading.imu.t.size - 50 * reading.imu.t[-1]) <= 3
 
 
