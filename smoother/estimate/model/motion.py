@@ -1,11 +1,10 @@
-"""The motion that slopes by constants are made of: the keyframes' velocity and heading, without the samples' noise.
+"""The filtered motion for Jacobians by constants: velocity and heading of the keyframes without the noise of samples.
 
-A latency, a lever arm and a receiver's response multiply the acceleration and the turn rate of the kart. Taken from the
-state as it is, these hold the noise of the samples, which is in the residuals too: the fit makes the constant small to
-make the noise small, by several of its sigmas (errors in variables; Carroll et al. 2006, Measurement Error in Nonlinear
-Models). Below a frequency that drivers reach and the noise of the force does not fill, the state is the motion; of the
-turn rate a Wiener filter keeps at each frequency the share that is not the gyroscope's noise. So Jacobians by constants
-are no derivatives of the residual: they are those of the filtered motion. This is the one place where that is so.
+A latency, a lever arm and a receiver's response multiply the acceleration and the turn rate of the kart. Those of the
+state contain the noise of the samples, as the residuals do, which biases the constant towards zero by several sigmas
+(errors in variables; Carroll et al. 2006, Measurement Error in Nonlinear Models). So velocities are low-passed below a
+cut-off at which the motion exceeds the noise of the force; headings pass a Wiener filter designed by the noise of the
+gyroscope. Jacobians by constants use this motion, so only here a Jacobian is not the derivative of the residual.
 """
 
 from collections.abc import Callable, Sequence

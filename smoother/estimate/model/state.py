@@ -4,8 +4,8 @@ Keyframe k has the pose of the sensor X(k) = T_ns, its velocity V(k) in n, the b
 rate, and the slow error O(k) of the fixes in n (fix = position + error). The tangent of a keyframe has these 18 columns
 in this order; a rotation is `R_ns @ exp(w)` and a translation `p + R_ns @ d`, both in s, as in GTSAM's Pose3.
 
-A constant of the session is a small vector with a key of its own. To add one: a line in CONSTANTS, and the factor
-whose Jacobian has it.
+A constant of the session is a small vector with a key of its own. To add one, add a line to CONSTANTS and a factor with
+its Jacobian.
 """
 
 import math
@@ -27,7 +27,7 @@ Sigma = float | tuple[float, ...]  # of a constant, or of each of its numbers
 
 @dataclass(frozen=True)
 class Constant:
-    """A constant of the session: its name, how many numbers it has, what they are, and the sigma of its prior about 0.
+    """A constant of the session: name, size, meaning, and sigma of its prior about 0.
 
     sigma: of all of them or of each. factor: the factor that it belongs to; where a session has that, `identified` of
     summary.json has the constant, in `unit`. Those without one are reported by output/identified.py in other terms.
@@ -93,10 +93,10 @@ def keyframe_keys(k: int) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What is known of the box beside the unknowns.
+    """Geometry of the sensor besides the unknowns.
 
-    level_axes_s (3, 3): rows are two level axes and up, in s. is_steered: the box is on the steering wheel, and the
-    lever arm keeps to the course instead of the box.
+    level_axes_s (3, 3): rows are two level axes and up, in s. is_steered: the sensor is on the steering wheel, and
+    the lever arm rotates with the course.
     """
 
     level_axes_s: Array

@@ -1,4 +1,4 @@
-"""Gauss-Newton on a graph of GTSAM: linearise, eliminate, move, until a step no longer matters."""
+"""A Gauss-Newton step on a GTSAM graph: linearise, eliminate, back-substitute."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from smoother.estimate.solvers.linear import solve_rows
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One Gauss-Newton step from `state`: all rows there, and how far all unknowns move, keyframes (K, 18) and
+    """One Gauss-Newton step from `state`: all rows there, and the step of keyframes (K, 18) and
     constants (C,). unknown: names of the constants that are solved for; priors (C,): variances of the others.
     """
 
@@ -37,14 +37,14 @@ class Step:
         return self.state.with_values(self.moved)
 
     def chain(self) -> Chain:
-        """What the elimination left, for covariances."""
+        """The chain of conditionals, for covariances."""
         return Chain.of(self.net, columns_of(self.unknown), self.priors)
 
 
 def step(graph: Graph, values: gtsam.Values, free: Collection[str] = KEYS) -> Step:
     """Linearise `graph` at `values` and eliminate. Raises IndeterminateError where an unknown is not determined.
 
-    free: names of the constants that may move; the others are held, and cost nothing.
+    free: names of the constants that are solved for; the others are held and have no columns.
     """
     state = graph.state.with_values(values)
     try:

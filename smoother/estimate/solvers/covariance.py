@@ -1,7 +1,7 @@
-"""Covariances out of GTSAM's Bayes net of a chain, exact: one sweep back, and the joint of any functions of keyframes.
+"""Exact covariances from GTSAM's Bayes net of a chain: one backward sweep, and the joint of any functions of keyframes.
 
-Given the next keyframe and the constants, a keyframe is `x_k = G_k x_{k+1} + H_k c + noise of covariance Q_k`: that is
-what its conditional says, `R x_k + S (x_{k+1}, c) = d`. All else follows by propagation of covariance. gtsam.Marginals
+Given the next keyframe and the constants, a keyframe is `x_k = G_k x_{k+1} + H_k c + noise of covariance Q_k`: this is
+its conditional, `R x_k + S (x_{k+1}, c) = d`. Everything else follows by propagation of covariance. gtsam.Marginals
 gives the same numbers one key at a time, which costs 2 to 7 ms each and grows with the length of the session.
 """
 
@@ -75,7 +75,7 @@ class Chain:
 
     @cached_property
     def given_constants(self) -> Array:
-        """Covariances (K, 18, 18) of the keyframes, were the constants known."""
+        """Covariances (K, 18, 18) of the keyframes given the constants."""
         P = self.root @ self.root.transpose(0, 2, 1)
         for k in range(len(self.gain) - 1, -1, -1):
             P[k] += self.gain[k] @ P[k + 1] @ self.gain[k].T

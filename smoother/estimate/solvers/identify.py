@@ -1,4 +1,4 @@
-"""Solving and finding the noise, in turns: solve <-> noise from residuals, until neither moves."""
+"""Alternation of solution and noise identification, until neither changes."""
 
 import math
 from collections.abc import Callable
@@ -50,7 +50,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A session or a part of it, ready to be solved: samples, measurements, priors, and where to begin.
+    """A session or a part of it: samples, measurements, priors, and initial values.
 
     usual: noise before any residual; scatter: of the samples; stated: names of densities that the settings state.
     rectified: whether the rectification is unknown, as in the part that identifies it.
@@ -69,8 +69,8 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solved graph: the last step, its chain and covariances, the noise it was solved with, and what that is from:
-    None where it was known.
+    """A solved graph: the last step, its chain and covariances, its noise, and the components that identified it:
+    None for a given noise.
     """
 
     graph: Graph
@@ -100,13 +100,12 @@ def identify(
     sigmas: "Sigmas | None" = None,
     heading: Callable[[State], Heading | None] | None = None,
 ) -> Solution:
-    """Solve a problem and find its noise, from `noise`, in turns; `progress` gets the share of the turns.
+    """Solve a problem and identify its noise, starting from `noise`; `progress` gets the finished share.
 
-    wheels: they join once the noise is found and the attitudes are good enough to judge them by, where the box follows
-    the path. From then on only the slip is found: it changes more smoothly than its process, and what that expects of
-    quick steps would be missed in the noise of the samples, and looked for in the latencies (1.4 ms on twelve karts).
-    sigmas: of a solution of a part of the session, where there is one. heading: of a magnetometer, likewise; it returns
-    the headings that can be used.
+    wheels: the factor joins after the noise is identified and attitudes are accurate, where the sensor follows the
+    path. From then on only the sigma of the slip is identified: the slip is smoother than its process, which would bias
+    the noise of the samples and the latencies (1.4 ms on twelve karts). sigmas: of a solution of a part of the session,
+    where there is one. heading: of a magnetometer, likewise; it returns the headings that can be used.
     """
     values, state = problem.state.values(), problem.state
     wheels = wheels and not state.geometry.is_steered
@@ -121,7 +120,7 @@ def identify(
         progress(turn / MOST_TURNS)
         at_rest = NEARER if wheels else MOVED
         if sigmas is not None and moved(taken, sigmas) > (at_rest if is_settled else NEAR) and not is_last:
-            continue  # covariances cost as much as a step, and say little of a state that is on its way
+            continue  # covariances cost as much as a step, and are useless before convergence
         chain = taken.chain()
         covariances = chain.covariances()
         sigmas = Sigmas.of(covariances)
@@ -156,8 +155,8 @@ def with_heading(problem: Problem, field: Heading | None) -> Problem:
 def _with_wheels(
     problem: Problem, rolls: BoolArray, graph: Graph, values: gtsam.Values, constants: Array, found: Components
 ) -> Solution:
-    """Solve with wheels that roll at the keyframes `rolls` (K,), after a solution without them: once to find how much
-    they slip, then until the state is at rest. Constants stay, but those that the wheels and the heading decide.
+    """Solve with wheels that roll at the keyframes `rolls` (K,), after a solution without them: once to identify the
+    slip, then until convergence. Constants are held, except those that wheels and heading determine.
 
     constants (C, C): covariance of the constants, and found: of the noise, without wheels.
     """
@@ -225,7 +224,7 @@ def moved(step: Step, sigmas: Sigmas) -> float:
 def solve_held(
     problem: Problem, noise: Noise, covariance: Array, heading: Callable[[State], Heading | None] | None = None
 ) -> Solution:
-    """Solve a part of a session for a noise and constants that are known from elsewhere: they do not move.
+    """Solve a part of a session with a given noise and held constants.
 
     covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
     """
@@ -256,7 +255,7 @@ def solve_held(
 
 
 def held_at(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Problem:
-    """The problem with constants that stay where they are in `state`, all but those that are free."""
+    """The problem with constants held at those of `state`, except free ones."""
     priors = {
         name: problem.priors.constants[name] if name in free else (value, np.full(len(value), FIXED))
         for name, value in state.constants.items()
@@ -276,7 +275,7 @@ def rolling_at(step: Step, covariances: Array, graph: Graph) -> BoolArray | None
 
 
 class Damping:
-    """Halves the steps of densities and sigmas that turn back, so that they come to rest instead of swinging."""
+    """Halves the steps of densities and sigmas that change sign, against oscillation."""
 
     def __init__(self) -> None:
         self._last, self._share = np.zeros(0), np.ones(0)
@@ -307,7 +306,7 @@ def attitude_moved(step: Step) -> float:
 def relative_change(one: Noise, two: Noise) -> float:
     """Largest relative difference of the densities, the sigmas of fixes and those of factors.
 
-    The slow error and the slip come to rest later, and move nothing that is reported.
+    The slow error and the slip converge later, without effect on reported values.
     """
     if one.sigmas.keys() != two.sigmas.keys():
         return math.inf

@@ -3,8 +3,8 @@
 A chunk of keyframes is predicted from the samples; its IMU factors and its measurements join the tree. Measurements are
 the rows of the table, as linear factors: those of the last seconds are removed and linearised again with every chunk,
 older ones stay. Constants are held meanwhile. When all keyframes are in, constants join the same tree as one variable,
-all measurements are linearised again until nothing moves, and the heading and the wheels join. Covariances come from an
-elimination of the factors that the tree ends with; no step is taken from it.
+all measurements are linearised again until convergence, and the heading and the wheels join. Covariances come from one
+elimination of the final factors of the tree.
 """
 
 from collections.abc import Callable
@@ -107,7 +107,9 @@ class Stream:
             thresholds.insert((symbol, np.array(limit)))
         parameters.setRelinearizeThreshold(thresholds)
         parameters.relinearizeSkip = 1
-        parameters.setFactorization("QR")  # quick fixes without speeds say little at first: digits of Cholesky run out
+        parameters.setFactorization(
+            "QR"
+        )  # fixes at a high rate without speeds are nearly singular at first for Cholesky
         self._tree = gtsam.ISAM2(parameters)
 
     @property
@@ -116,21 +118,21 @@ class Stream:
         return self._first.part(slice(self._end)).with_values(self.values)
 
     def take_all(self) -> None:
-        """Take in all keyframes, chunk by chunk. Raises RuntimeError where an unknown is not determined."""
+        """Add all keyframes, chunk by chunk. Raises RuntimeError where an unknown is not determined."""
         n, first, chunk = (len(self._first.t), *(round(s / self._first.interval) for s in (WINDOW, CHUNK)))
         for end in [*range(first, n - chunk + 1, chunk), n]:
             self.advance(end)
         self.values.update(self._tree.calculateBestEstimate())
 
     def advance(self, end: int) -> None:
-        """Take in the keyframes up to `end`, exclusive, the samples between them and what was measured there."""
+        """Add the keyframes up to `end`, exclusive, with the samples and measurements between them."""
         begin, self._end = self._end, end
         self._measure(begin, *self._predicted(begin))
         # a prediction after an outage is off by more than a robust weight forgives: only now are weights known
         self._measure(end, gtsam.NonlinearFactorGraph(), gtsam.Values())
 
     def settle(self, graph: Graph) -> None:
-        """Linearise all measurements of `graph` again, with free constants as unknowns, until nothing moves."""
+        """Linearise all measurements of `graph` again, with free constants as unknowns, until convergence."""
         for _ in range(MOST_TURNS):
             before, new, added = self.state, gtsam.Values(), gtsam.NonlinearFactorGraph()
             if self._free and not self._joined:
