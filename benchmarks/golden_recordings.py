@@ -195,7 +195,7 @@ FOLDERS = (
     Recording("gopro_hero11", "gopro_hero11_raw"),
     Recording("gopro_karma", "gopro_karma"),
 )
-# The samples of gopro_csv_folder and racecapture_log are of a drive at 17.41 E, and their longitudes are west: the track
+# The samples of gopro_csv_folder and racecapture_log are of a drive at 17.41 E, their longitudes are west: the track
 # is mirrored, and the gate rejects attitudes with reason. With east longitudes both pass.
 CASES = tuple(
     Recording(f"case_{name}", f"cases/{name}")
