@@ -45,7 +45,7 @@ def test_a_clock_by_which_laps_are_wrong_and_speeds_are_right_is_left_alone_but_
     assert clock_scale(slow) == 1.0
     (problem,) = clock_problems(slow)
     assert "0.15 % slow" in problem.text or "0.14 % slow" in problem.text or "0.16 % slow" in problem.text
-    assert "taken out" not in problem.text
+    assert "corrected" not in problem.text
     assert "lap times are in its seconds, of which a minute has 59.91" in problem.text
 
 
@@ -69,7 +69,7 @@ def test_times_come_back_as_they_were() -> None:
     assert trajectory.report.keyframes is not None
     assert trajectory.report.keyframes.t[-1] >= trajectory.t[-1]
     assert [p.text for p in trajectory.report.problems if p.code == "clock_scale"] == [
-        "the recording's clock runs 2 % fast against the receiver's UTC; taken out of speeds and places; "
+        "the recording's clock runs 2 % fast against the receiver's UTC; corrected in speeds and positions; "
         "t_s and lap times are in its seconds, of which a minute has 61.20"
     ]
     assert trajectory.joint is not None
