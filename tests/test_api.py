@@ -29,6 +29,7 @@ PARTS = ("batch", "export", "laps", "live", "report", "sim")  # benchmarks measu
 EXCEPTIONS = {  # of benchmarks
     "ablations": ("estimate.factors",),  # whose table has what can be left out
     "lap_wander": ("fit.lap_registration",),  # which it measures
+    "lap_closure": ("fit.lap_crossings",),  # at whose stations it measures
     "calibration_honesty": ("fit.allan",),  # the fit of calib that its sigmas are tested of
 }
 

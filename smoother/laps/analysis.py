@@ -9,6 +9,7 @@ from smoother.disc import release
 from smoother.fit.loop import SHORTEST
 from smoother.fit.plan_path import PlanPath
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
+from smoother.laps.closure import tie_laps
 from smoother.laps.corner_speeds import smooth_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
@@ -47,6 +48,7 @@ class LapOptions:
     lines: start/finish and sectors, None: found. reference, reference_lap: of another session, for comparisons.
     official (K,) s: transponder times in driving order. shortest m: a loop below is no lap.
     drift: how the position error changes with time, of results read from files. problems: of the stated values.
+    ties_laps: laps are tied to the line that they have in common, where the covariance of positions is known.
     """
 
     lines: GivenLines | None = None
@@ -56,6 +58,7 @@ class LapOptions:
     shortest: float = SHORTEST
     drift: Drift | None = None
     problems: tuple[Problem, ...] = ()
+    ties_laps: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,7 @@ def _unmatched(official: tuple[OfficialTime, ...]) -> tuple[Problem, ...]:
 def _analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions) -> LapAnalysis:
     if len(trajectory) < 3 or not np.isfinite(trajectory.position_n[:, :2]).all():
         return without_laps(trajectory, Problem("no_laps", "the trajectory is too short for laps"))
-    errors, source = _errors(trajectory, fixes, options.drift)
+    trajectory, errors, source = _tied(trajectory, fixes, options.drift, ties_laps=options.ties_laps)
     given = _Given(trajectory, plan_path(trajectory), fixes, options, errors, source)
     blind = in_gaps(given.path.t, fixes)
     circuit = find_circuit(given.path, options.lines, options.reference, options.shortest, blind)
@@ -118,14 +121,23 @@ def reference_lap_of(
     """Return the best lap of a session as a reference for others; None without one."""
     if analysis.traces is None or analysis.reference is None or analysis.reference_lap is None:
         return None
-    errors, _ = _errors(trajectory, fixes, drift)
+    trajectory, errors, _ = _tied(trajectory, fixes, drift)
     curve, lap = Curve(analysis.reference), analysis.reference_lap
     return as_reference_lap(analysis.traces, lap, name, curve, plan_path(trajectory), errors)
 
 
-def _errors(trajectory: Trajectory, fixes: FixPath, drift: Drift | None) -> tuple[JointPosition | None, SigmaSource]:
+def _tied(
+    trajectory: Trajectory, fixes: FixPath, drift: Drift | None, *, ties_laps: bool = True
+) -> tuple[Trajectory, JointPosition | None, SigmaSource]:
+    """The trajectory with its laps tied, the covariance of its positions, and where that is from.
+
+    Fixes alone are not tied: what is assumed of their error is no estimate of it.
+    """
     interval = float(np.median(np.diff(fixes.t))) if len(fixes.t) > 1 else np.inf
-    return position_errors(trajectory, interval, drift)
+    errors, source = position_errors(trajectory, interval, drift)
+    if ties_laps and errors is not None and source in ("joint", "stored"):
+        trajectory, errors = tie_laps(trajectory, errors)
+    return trajectory, errors, source
 
 
 def without_laps(trajectory: Trajectory, *problems: Problem) -> LapAnalysis:
