@@ -43,7 +43,7 @@ UNKNOWN_HEIGHT = 100.0  # m, sigma about the origin's height where no fix has on
 RELAXATION = 0.8  # of the constants' steps: lag and acceleration form a product, and full steps swing
 HOLE = 10.0  # s; nodes are closer, but where pieces of a long session meet in a pause
 ROAMING = 10.0, 20.0  # m/s of a vehicle that nobody sees, and s for which it goes one way
-LAG_RANGE, END_MARGIN = (-2.0, 1.0), 0.1  # s: a lag beyond belief, and what nodes reach farther
+LAG_RANGE, END_MARGIN = (-1.5, 0.5), 0.1  # s: a lag beyond belief, and what nodes reach farther
 
 
 @dataclass(frozen=True)
