@@ -80,7 +80,7 @@ class GraphSmoother:
         with watch("align"):
             aligned = begin(given, options)
         session, start = aligned.session, aligned.start
-        _require_none(unlike(start.alignment))
+        _require_none((*aligned.unusable, *unlike(start.alignment)))
         with watch("solve"):
             solved = solve(session, start, options, watch.say)
         start, found = solved.start, solved.found

@@ -7,15 +7,16 @@ from smoother.estimate.fixes.settling import settling_problems, unsettled, witho
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.guess import Start, make_start
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Drift, fit_drift
+from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Step, fit_drift, fit_step, placed
 from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, in_step
 from smoother.estimate.preprocess.path_motion import averages_of, sampled_at_speed
 from smoother.estimate.preprocess.pauses import closed_up, pauses_of
-from smoother.estimate.preprocess.streams import Measured, compare_streams
+from smoother.estimate.preprocess.streams import STRETCH, Measured, Streams, compare_streams
 from smoother.samples import Problem, Session
 
 BARELY = 0.3  # sigmas, from which on a corrected drift is corrected again
-PASSES = 3  # of the clock, each of which is fitted to what the one before has left
+PASSES = 5  # of the clock, each of which is fitted to what the one before has left
+PLACED_WITHIN = 3.0  # stretches, in which the gap of a step is looked for
 # of the explained share of rate and force; a latency of the force that reduces it by more is rejected. True ones change
 # it by +0.005 to -0.0015 (sideslip partly acts like a latency), hairpins that seemed to show one of 0.1 s by -0.006 to
 # -0.017.
@@ -27,7 +28,7 @@ class AlignedSession:
     """A session with its samples on the clock of its fixes and its force at the time of its rate, and its start.
 
     clock: what was corrected. left_out (N,): fixes as given of which no position is used, None where all are;
-    `problems` say why.
+    `problems` say why. unusable: why the samples cannot be used.
     """
 
     session: Session
@@ -36,6 +37,7 @@ class AlignedSession:
     clock: Clock = ONE_CLOCK
     problems: tuple[Problem, ...] = ()
     left_out: BoolArray | None = None
+    unusable: tuple[Problem, ...] = ()
 
     @property
     def explains(self) -> float:
@@ -53,38 +55,53 @@ def begin(given: Session, options: GraphOptions) -> AlignedSession:
 
 
 def _on_one_clock(given: Session, options: GraphOptions) -> AlignedSession:
-    """Begin with a session, corrected for a drift between the clocks of samples and fixes.
+    """Begin with a session, corrected for a drift and steps between the clocks of samples and fixes.
 
     A clock by which samples and fixes have less in common is none.
     """
     aligned = _aligned(given, options)
     for _ in range(PASSES):
-        beyond = _drift(aligned.clock.corrected(given), aligned)
-        if beyond is None:
+        corrected = aligned.clock.corrected(given)
+        streams = _streams(corrected, aligned)
+        if streams is None:
             return aligned
+        beyond, step = fit_drift(streams), fit_step(streams)
         drifts_on = aligned.clock.drifts and abs(beyond.value) > BARELY * beyond.sigma
-        if not (beyond.is_sure or drifts_on):
+        if beyond.is_sure or drifts_on:
+            clock = aligned.clock.and_beyond(beyond, float(given.gnss.t[0]))
+        elif step is not None and step.is_sure:
+            assert corrected.imu is not None
+            found = placed(step, corrected.imu.t, PLACED_WITHIN * STRETCH)
+            if found is None:
+                return replace(aligned, unusable=(_unplaced(step),))
+            clock = aligned.clock.and_step(found)
+        else:
             return replace(aligned, clock=aligned.clock.without_more(beyond))
-        clock = aligned.clock.and_beyond(beyond, float(given.gnss.t[0]))
         better = replace(_aligned(clock.corrected(given), options), clock=clock)
-        if (
-            not better.explains > aligned.explains - LESS_EXPLAINED * drifts_on
-        ):  # a corrected one explains about as much
+        # one that is corrected further explains about as much
+        if not better.explains > aligned.explains - LESS_EXPLAINED * drifts_on:
             return replace(aligned, clock=aligned.clock.without_more(beyond))
         aligned = better
     return aligned
 
 
-def _drift(session: Session, aligned: AlignedSession) -> Drift | None:
-    """The drift that the streams of a session show, pauses included: clocks run on in these."""
+def _unplaced(step: Step) -> Problem:
+    text = (
+        f"the samples' clock steps by {step.value:+.2f} s against that of the fixes near t_s = {step.at:.0f}, and no "
+        "gap in their stamps shows where; smoothed from the fixes alone. Cut the session there"
+    )
+    return Problem("clock_step", text)
+
+
+def _streams(session: Session, aligned: AlignedSession) -> Streams | None:
+    """Samples and fixes compared, pauses included: clocks run on in these."""
     alignment = aligned.start.alignment
     if alignment.is_level_only:
         return None
     assert session.imu is not None
     measured = Measured(averages_of(session.imu), alignment.R_bs, alignment.gyro_bias_s)
     path = replace(aligned.start.driven, t=session.gnss.t)
-    streams = compare_streams(measured, path, sampled_at_speed(session.imu, path), alignment.lag)
-    return None if streams is None else fit_drift(streams)
+    return compare_streams(measured, path, sampled_at_speed(session.imu, path), alignment.lag)
 
 
 def _aligned(given: Session, options: GraphOptions) -> AlignedSession:

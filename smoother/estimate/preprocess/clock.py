@@ -1,4 +1,4 @@
-"""The samples' clock against that of the fixes: a drift, which the lags of the stretches show.
+"""The samples' clock against that of the fixes: a drift and steps, which the lags of the stretches show.
 
 One logger stamps both by one clock. Others count samples at their nominal rate, which a sensor's own oscillator keeps
 to a per cent, or stamp fixes by the receiver's UTC. Such a clock shifts the lags of forward force, left force and yaw
@@ -26,6 +26,8 @@ LARGEST_DRIFT = 0.03  # more is no clock
 SIGNIFICANT = 5.0  # sigmas of a drift
 ALIKE = 0.25  # of a drift, by which axes may differ unless by their own sigmas; a real kart's slip makes 0.33
 ROUNDS, ROBUST = 6, 3.0  # of reweighting; sigmas
+LEAST_BESIDE = 3  # stretches before a step, and after it
+GAP_OF_STEP = 0.7  # of a step that jumps ahead, the least gap that its stamps leave; and of that gap, the least step
 BLOCKS = 10  # of a session, whose errors are independent
 TINY = 1e-12
 
@@ -40,18 +42,39 @@ class Drift:
 
 
 @dataclass(frozen=True)
+class Step:
+    """The samples' clock is ahead by `value` s more from the stamp `at` s on, the next one after `since`, s.
+
+    is_sure: significant, and the axes agree.
+    """
+
+    at: float
+    value: float
+    is_sure: bool
+    since: float = math.nan
+
+
+@dataclass(frozen=True)
 class Clock:
-    """The samples' clock gains `drift` s per s on that of the fixes from `zero` s on, where it `drifts`."""
+    """The samples' clock gains `drift` s per s on that of the fixes from `zero` s on, where it `drifts`, and `steps`.
+
+    Times of steps are stamps with all earlier corrections made.
+    """
 
     drift: float = 0.0
     drift_sigma: float = math.inf
     drifts: bool = False
     zero: float = 0.0
+    steps: tuple[Step, ...] = ()
 
     def and_beyond(self, beyond: Drift, zero: float) -> "Clock":
         """Return this clock with the drift that a session shows which it has corrected; zero s: of a first one."""
         both = (1.0 + self.drift * self.drifts) * (1.0 + beyond.value) - 1.0
-        return Clock(both, beyond.sigma, True, self.zero if self.drifts else zero)
+        return replace(self, drift=both, drift_sigma=beyond.sigma, drifts=True, zero=self.zero if self.drifts else zero)
+
+    def and_step(self, step: Step) -> "Clock":
+        """Return this clock with a step that a session shows which it has corrected."""
+        return replace(self, steps=(*self.steps, step))
 
     def without_more(self, beyond: Drift) -> "Clock":
         """Return this clock where what a session shows beyond it is not corrected."""
@@ -59,9 +82,11 @@ class Clock:
 
     def corrected(self, session: Session) -> Session:
         """Return the session with its samples on the clock of its fixes."""
-        if not self.drifts:
-            return session
-        return with_samples_at(session, lambda t: np.asarray(self.zero + (t - self.zero) / (1.0 + self.drift)))
+        if self.drifts:
+            session = with_samples_at(session, lambda t: np.asarray(self.zero + (t - self.zero) / (1.0 + self.drift)))
+        for step in self.steps:
+            session = with_samples_at(session, partial(_stepped, step))
+        return session
 
     def identified(self) -> Identified:
         """What to report of the drift, ppm: the corrected one; else 0, with how large it may be."""
@@ -72,14 +97,22 @@ class Clock:
         return Identified(0.0, 1e6 * sigma, "ppm", False, "default")
 
     def problems(self, lasts: float) -> tuple[Problem, ...]:
-        """Report a drift that was corrected in a session of `lasts` s."""
+        """Report a drift and steps that were corrected in a session of `lasts` s."""
+        steps = tuple(
+            Problem(
+                "clock_step",
+                f"the samples' clock steps by {step.value:+.2f} s against that of the fixes near t_s = {step.at:.0f}; "
+                "corrected",
+            )
+            for step in self.steps
+        )
         if not self.drifts:
-            return ()
+            return steps
         text = (
             f"the samples' clock runs {1e6 * abs(self.drift):.0f} ppm {'fast' if self.drift > 0.0 else 'slow'} against "
             f"that of the fixes, {abs(self.drift) * lasts:.2f} s over the session; corrected"
         )
-        return (Problem("clock_drift", text),)
+        return (Problem("clock_drift", text), *steps)
 
 
 ONE_CLOCK = Clock()
@@ -106,6 +139,76 @@ def fit_drift(streams: Streams) -> Drift:
     parts = np.concatenate([axes, halves])
     agree = np.abs(parts[:, 0] - slope) < np.maximum(3.0 * parts[:, 1], ALIKE * abs(slope))
     return Drift(-slope, uncertainty, SIGNIFICANT * uncertainty < abs(slope) < LARGEST_DRIFT and bool(np.all(agree)))
+
+
+def fit_step(streams: Streams) -> Step | None:
+    """Fit one step to the lags of all axes, between the two stretches where it explains most; None with few stretches.
+
+    Means before and after it are robust, by axis; what the axes contradict one another by makes it less sure.
+    """
+    known, n = streams.is_known, len(streams.t)
+    if n < 2 * LEAST_BESIDE:
+        return None
+    weight = np.where(known, 1.0 / np.where(known, streams.sigma, 1.0) ** 2, 0.0)
+    lag = np.where(known, streams.lag, 0.0)
+    best = max(
+        (_step_after(lag, weight, k) for k in range(LEAST_BESIDE, n - LEAST_BESIDE + 1)), key=lambda found: found[0]
+    )
+    size, value, is_sure, k = best
+    return Step(float(0.5 * (streams.last[k - 1] + streams.first[k])), -value, is_sure and size > SIGNIFICANT)
+
+
+def _step_after(lag: Array, weight: Array, k: int) -> tuple[float, float, bool, int]:
+    """Size in sigmas, value s, whether the axes agree, and k, of a step of lags (B, 3) s from stretch k on."""
+    before, after = (_robust_mean(lag[part], weight[part]) for part in (slice(k), slice(k, None)))
+    steps, sigmas = after[0] - before[0], np.hypot(before[1], after[1])
+    shown = np.isfinite(sigmas)
+    if not shown.any():
+        return 0.0, 0.0, False, k
+    information = np.where(shown, 1.0 / np.where(shown, sigmas, 1.0) ** 2, 0.0)
+    total = float(np.sum(information))
+    value = float(information @ steps) / total
+    at_odds = float(information @ (steps - value) ** 2) / max(int(np.count_nonzero(shown)) - 1, 1)
+    sigma = max(float(np.min(sigmas[shown])), math.sqrt(at_odds / total))
+    agree = np.abs(steps - value)[shown] < np.maximum(3.0 * sigmas[shown], ALIKE * abs(value))
+    return abs(value) / sigma, value, bool(np.all(agree) and np.count_nonzero(shown) > 1), k
+
+
+def _robust_mean(lag: Array, weight: Array) -> tuple[Array, Array]:
+    """Mean (3,) s of lags (B, 3) s and its sigma by their scatter, infinite where too few show."""
+    total = np.maximum(weight.sum(axis=0), TINY)
+    mean = np.sum(weight * lag, axis=0) / total
+    for _ in range(ROUNDS):
+        used = weight / (1.0 + weight * ((lag - mean) / ROBUST) ** 2)
+        mean = np.sum(used * lag, axis=0) / np.maximum(used.sum(axis=0), TINY)
+    count = np.count_nonzero(weight, axis=0)
+    scatter = np.sum(used * (lag - mean) ** 2, axis=0) / np.maximum(count - 1, 1)
+    sigma = np.sqrt(np.maximum(scatter, 1.0) / np.maximum(used.sum(axis=0), TINY))
+    return mean, np.where(count >= LEAST_BESIDE, sigma, np.inf)
+
+
+def placed(step: Step, t: Array, within: float) -> Step | None:
+    """Return a step at the gap of its size that a clock which jumps ahead leaves in stamps t (N,) s, within some s.
+
+    None without one: a clock that goes back, or samples that were lost while stamps were counted, leave none.
+    """
+    first, last = np.searchsorted(t, [step.at - within, step.at + within])
+    gaps = np.diff(t[first:last])
+    if not gaps.size or step.value < 0.0:
+        return None
+    beyond = gaps - np.median(gaps)
+    alike = np.flatnonzero((beyond > GAP_OF_STEP * step.value) & (beyond < step.value / GAP_OF_STEP))
+    if not alike.size:
+        return None
+    k = int(alike[np.argmin(np.abs(t[first + alike] - step.at))])
+    gap = float(beyond[k])
+    return replace(step, at=float(t[first + k + 1]), since=float(t[first + k]), value=min(step.value, gap))
+
+
+def _stepped(step: Step, t: Array) -> Array:
+    """Times t (N,) s without a step; those in its gap, of other sensors, are drawn together."""
+    inside = step.since + (t - step.since) * (1.0 - step.value / (step.at - step.since))
+    return np.where(t >= step.at, t - step.value, np.where(t > step.since, inside, t))
 
 
 def _line(t: Array, lag: Array, weight: Array) -> tuple[float, float, Array]:

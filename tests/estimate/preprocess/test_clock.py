@@ -53,8 +53,9 @@ def test_the_drift_of_a_clock_is_found_whether_it_is_a_crystal_or_a_nominal_rate
 @pytest.mark.parametrize("preset", ["kart", "kart_harsh", "white"])
 def test_one_clock_is_no_two(preset: str) -> None:
     for seed in (11, 12):
-        found = found_in(prepare(simulate_preset(preset, seed, duration=DURATION).raw))
-        assert not found.drifts
+        aligned = begin(prepare(simulate_preset(preset, seed, duration=DURATION).raw), GraphOptions())
+        found = aligned.clock
+        assert not found.drifts and not found.steps and not aligned.unusable
         assert abs(found.drift) < 4.0 * found.drift_sigma
 
 
@@ -137,8 +138,47 @@ def test_a_step_is_no_drift_wherever_it_is(session: Session, place: float) -> No
 def test_a_receiver_that_is_late_now_more_now_less_is_no_clock(session: Session) -> None:
     gnss = session.gnss
     late = gnss.t + 0.15 * np.sin(2.0 * np.pi * (gnss.t - gnss.t[0]) / 130.0 + 0.7)
-    found = found_in(replace(session, gnss=replace(gnss, t=late)))
-    assert not found.drifts
+    aligned = begin(replace(session, gnss=replace(gnss, t=late)), GraphOptions())
+    assert not aligned.clock.drifts and not aligned.clock.steps and not aligned.unusable
+
+
+def with_step(session: Session, size: float, place: float = 0.5) -> Session:
+    """The samples' clock jumps ahead by `size` s; one that goes back leaves out what it repeats."""
+    assert session.imu is not None
+    t = session.imu.t + np.where(session.imu.t > session.imu.t[0] + place * DURATION, size, 0.0)
+    new = np.append(True, np.diff(np.maximum.accumulate(t)) > 0.0)
+    imu = session.imu
+    imu = replace(imu, t=t[new], specific_force_s=imu.specific_force_s[new], angular_rate_s=imu.angular_rate_s[new])
+    return replace(session, imu=imu, mag=None)
+
+
+@pytest.mark.parametrize(("size", "place"), [(0.08, 0.5), (0.1, 0.2), (0.3, 0.3), (0.3, 0.7), (1.5, 0.5)])
+def test_a_step_ahead_is_found_and_placed(simulation: Simulation, session: Session, size: float, place: float) -> None:
+    assert session.imu is not None
+    stepped = with_step(session, size, place)
+    aligned = begin(stepped, GraphOptions())
+    (step,) = aligned.clock.steps
+    assert step.value == pytest.approx(size, abs=0.02)
+    assert step.at == pytest.approx(session.imu.t[0] + place * DURATION + size, abs=0.05)
+    assert not aligned.clock.drifts
+    plain = speed_error(GraphSmoother().estimate(replace(session, mag=None)), simulation, session)
+    found = GraphSmoother().estimate(stepped)
+    assert speed_error(found, simulation, session) < 1.05 * plain
+    assert "clock_step" in [problem.code for problem in found.report.problems]
+
+
+def test_a_step_back_has_no_place_and_the_fixes_are_smoothed_alone(session: Session) -> None:
+    found = GraphSmoother().estimate(with_step(session, -0.3))
+    assert found.report.mode == "gps-only"
+    assert "clock_step" in [problem.code for problem in found.report.problems]
+
+
+def test_stamps_of_other_sensors_in_the_gap_of_a_step_keep_their_order(session: Session) -> None:
+    stepped = replace(with_step(session, 0.5), mag=session.mag)
+    assert session.mag is not None
+    corrected = begin(stepped, GraphOptions()).clock.corrected(stepped)
+    assert corrected.mag is not None
+    assert np.all(np.diff(corrected.mag.t) > 0.0)
 
 
 def speed_error(trajectory: Trajectory, simulation: Simulation, session: Session) -> float:
