@@ -79,11 +79,14 @@ def _turning(gnss: GnssFixes, edges: Array) -> tuple[Array, BoolArray]:
     at = [np.interp(edges, gnss.t, values) for values in (north, east)]
     step_n, step_e = (np.diff(values) for values in at)
     heading = np.unwrap(np.arctan2(step_e, step_n))
-    way = np.hypot(step_n, step_e) * 111_195.0
+    way = np.hypot(step_n, step_e) * METRES_PER_DEGREE
     turned = np.gradient(heading, WINDOW)
     return turned, way > LEAST_SPEED * WINDOW
 
 
+FROZEN, FEWEST_FROZEN = 1.0, 10  # s, and samples, for which three noisy values do not stay the same
+DRIVEN = 2.0  # m/s; slower, a coarse sensor may have nothing to say
+METRES_PER_DEGREE = 111_195.0
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 SAME_RATE = 0.02  # share; a clock or its digits may make 20 Hz a little less
@@ -163,6 +166,36 @@ def absurd(r: Recording) -> Finding | None:
     return dropped(bad, "with accelerations or rates no sensor can read")
 
 
+def frozen(r: Recording) -> Finding | None:
+    """Samples of an accelerometer or a gyroscope that repeats itself while the kart drives."""
+    bad = np.zeros(len(r.samples.t), dtype=np.bool_)
+    for values in (r.samples.accel, r.samples.gyro):
+        for first, last in _constant_runs(values):
+            begin, end = r.samples.t[[first, last]]
+            if (
+                end - begin > FROZEN
+                and last - first > FEWEST_FROZEN
+                and _way(r.gnss, begin, end) > DRIVEN * (end - begin)
+            ):
+                bad[first + 1 : last + 1] = True
+    return dropped(bad, "that repeat the one before for a second and longer while the kart drives: the sensor stalled")
+
+
+def _constant_runs(values: Array) -> Array:
+    """First and last rows (M, 2) of the runs in which all three values (N, 3) stay the same."""
+    same = np.ones(len(values) - 1, dtype=np.bool_)
+    for axis in values.T:
+        same &= axis[1:] == axis[:-1]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    return np.asarray(edges.reshape(-1, 2))
+
+
+def _way(fixes: GnssFixes, begin: float, end: float) -> float:
+    """Straight distance, m, between where the fixes have the kart at two times, s."""
+    north, east = (np.interp([begin, end], fixes.t, degrees) for degrees in (fixes.lat_deg, fixes.lon_deg))
+    return METRES_PER_DEGREE * float(np.hypot(np.diff(north)[0], np.diff(east)[0] * np.cos(north[0] * DEG)))
+
+
 def dead(r: Recording) -> Finding | None:
     """Axes that never change while others do. If none does, the smoother sees that none can be used."""
     axes = dead_axes(r.samples)
@@ -216,6 +249,7 @@ USABLE = (
 IMU_CHECKS = (
     Check("imu_missing", "imu", (), few),
     Check("imu_absurd", "imu", (), absurd),
+    Check("imu_frozen", "imu", (), frozen),
     Check(DEAD_AXES, "imu", (), dead),
     Check("imu_missing", "imu", (), few),
 )
