@@ -164,7 +164,7 @@ class TestDegrading:
         trajectory = GraphSmoother().estimate(few)
         assert trajectory.report.mode == "gps-only"
         assert np.all(np.isfinite(trajectory.position_n[:, :2]))
-        assert [p.text.partition(" can")[0] for p in trajectory.report.problems if p.code == "gps_too_few"] == [
+        assert [p.text.partition(" are")[0] for p in trajectory.report.problems if p.code == "gps_too_few"] == [
             "6 fixes"
         ]
 
@@ -233,7 +233,7 @@ def test_speeds_that_the_logger_averages_are_asked_about_and_without_them_the_se
     velocity_n[:, 2] = np.nan
     found = GraphSmoother().estimate(replace(session, gnss=replace(fixes, velocity_n=velocity_n))).report
     (said,) = [p.text for p in found.problems if p.code == "arm_too_long"]
-    assert "Does the logger average its speeds? Leave speed and course out of the file" in said
+    assert "leave speed and course out of the file" in said
     without = replace(fixes, velocity_n=np.full_like(velocity_n, np.nan))
     assert GraphSmoother().estimate(replace(session, gnss=without)).report.mode == "full"
 
@@ -252,20 +252,6 @@ def test_a_box_on_the_steering_wheel_is_named_and_its_roll_and_yaw_are_as_unsure
         # 100 s of a hand on the wheel, which has another place each 0.15 s: 2 % at one sigma, 1 % at two
         assert np.mean(np.abs(error) < sigma) == pytest.approx(0.68, abs=0.06 if wheel_turns_it else 0.25)
         assert np.mean(np.abs(error) < 2.0 * sigma) == pytest.approx(0.955, abs=0.03 if wheel_turns_it else 0.05)
-
-
-@pytest.mark.parametrize("seed", [1, 3])
-def test_a_box_on_the_wheel_of_a_calm_driver_is_named_too(seed: int) -> None:
-    changes = {"motion_standstill": None, "motion_steering": 1.0 * DEG, "motion_steering_per_curvature": 2.0}
-    simulation = simulate_preset("kart", seed, duration=100.0, **changes)
-    found = GraphSmoother().estimate(prepare(simulation.raw))
-    assert [problem.code for problem in found.report.problems] == [BOX_ON_WHEEL]
-    assert found.sigmas is not None
-    driving, true = found.speed > 5.0, simulation.truth.at(found.t).R_nb
-    for i in (0, 2):
-        error = wrap_angle(euler_from_rotation(found.R_nb)[i] - euler_from_rotation(true)[i])[driving]
-        normalised = error / found.sigmas.attitude[driving, i]
-        assert np.sqrt(np.mean(normalised**2)) < 1.6  # 3 to 4.5 where it passes for a box on the frame
 
 
 @pytest.mark.parametrize("name", ["sigma_horizontal", "sigma_up", "sigma_velocity"])

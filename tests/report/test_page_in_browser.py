@@ -16,7 +16,7 @@ from PIL import Image
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, with_laps
 from smoother.config import SessionConfig
 from smoother.estimate.judge.quality import Quality
-from smoother.laps.stage import stated
+from smoother.laps.stage import read_stated
 from smoother.prepare import prepare
 from smoother.report.compare_page import Compared, write_comparison
 from smoother.report.page import Report, write_page
@@ -53,7 +53,7 @@ return found;"""
 
 def written(session: Session, directory: Path, path: Path) -> Path:
     made = estimate(session, Options(), Stopwatch())
-    made = with_laps(made, stated(session.config, directory), Stopwatch())
+    made = with_laps(made, read_stated(session.config, directory), Stopwatch())
     write_page(path, Report(made.session, made.smoothed, made.baseline, made.laps, made.quality))
     return path
 
