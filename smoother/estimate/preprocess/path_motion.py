@@ -83,7 +83,7 @@ def peak(x: Array, y: Array) -> float:
     return float(x[i] + np.clip(0.5 * (before - after) / bend, -1.0, 1.0) * (x[1] - x[0]))
 
 
-# What the box felt on average around some times, and where samples are missing.
+# Mean specific force and angular rate of the IMU around some times, and where samples are missing.
 
 WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
 SHARED = 1 << 21  # samples, of which the sums are kept for the next who asks; those of a day fill the disc

@@ -69,8 +69,8 @@ def _gain(imu: RawImu, gnss: GnssFixes) -> float | None:
         return None
     size = np.linalg.norm(rates[good] - np.median(rates[good], axis=0), axis=1)
     path = np.abs(turned[good] - np.median(turned[good]))
-    felt, said = float(np.percentile(size, 90.0)), float(np.percentile(path, 90.0))
-    return said / felt if felt > 0.0 and said > 0.0 else None
+    measured, driven = float(np.percentile(size, 90.0)), float(np.percentile(path, 90.0))
+    return driven / measured if measured > 0.0 and driven > 0.0 else None
 
 
 def _turning(gnss: GnssFixes, edges: Array) -> tuple[Array, BoolArray]:
