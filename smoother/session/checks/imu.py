@@ -85,7 +85,8 @@ def _turning(gnss: GnssFixes, edges: Array) -> tuple[Array, BoolArray]:
 
 
 FROZEN, FEWEST_FROZEN = 1.0, 10  # s, and samples, for which three noisy values do not stay the same
-DRIVEN = 2.0  # m/s; slower, a coarse sensor may have nothing to say
+LEAST_BEND, MOST_FROZEN = 1.0, 0.5  # m in a second, of a path whose motion changes; share of all samples
+DRIVEN, LASTS = 2.0, 10.0  # m/s, for so many s: a kart that drives
 METRES_PER_DEGREE = 111_195.0
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
@@ -167,17 +168,19 @@ def absurd(r: Recording) -> Finding | None:
 
 
 def frozen(r: Recording) -> Finding | None:
-    """Samples of an accelerometer or a gyroscope that repeats itself while the kart drives."""
+    """Samples of an accelerometer or a gyroscope that repeats itself while the motion of the kart changes.
+
+    One that repeats itself most of the time is no sensor that stalls; see :func:`dead`.
+    """
     bad = np.zeros(len(r.samples.t), dtype=np.bool_)
     for values in (r.samples.accel, r.samples.gyro):
+        stalled = np.zeros_like(bad)
         for first, last in _constant_runs(values):
             begin, end = r.samples.t[[first, last]]
-            if (
-                end - begin > FROZEN
-                and last - first > FEWEST_FROZEN
-                and _way(r.gnss, begin, end) > DRIVEN * (end - begin)
-            ):
-                bad[first + 1 : last + 1] = True
+            if end - begin > FROZEN and last - first > FEWEST_FROZEN and _drives_on(r.gnss, begin, end):
+                stalled[first + 1 : last + 1] = True
+        if np.mean(stalled) < MOST_FROZEN:
+            bad |= stalled
     return dropped(bad, "that repeat the one before for a second and longer while the kart drives: the sensor stalled")
 
 
@@ -190,10 +193,13 @@ def _constant_runs(values: Array) -> Array:
     return np.asarray(edges.reshape(-1, 2))
 
 
-def _way(fixes: GnssFixes, begin: float, end: float) -> float:
-    """Straight distance, m, between where the fixes have the kart at two times, s."""
-    north, east = (np.interp([begin, end], fixes.t, degrees) for degrees in (fixes.lat_deg, fixes.lon_deg))
-    return METRES_PER_DEGREE * float(np.hypot(np.diff(north)[0], np.diff(east)[0] * np.cos(north[0] * DEG)))
+def _drives_on(fixes: GnssFixes, begin: float, end: float) -> bool:
+    """Whether the fixes move away between two times, s, and turn or change their speed, which samples would show."""
+    at = np.linspace(begin, end, max(3, round(end - begin) + 1))
+    north, east = (np.interp(at, fixes.t, degrees) for degrees in (fixes.lat_deg, fixes.lon_deg))
+    plan = METRES_PER_DEGREE * np.stack([north, east * np.cos(north[0] * DEG)])
+    farthest = float(np.max(np.hypot(*(plan - plan[:, :1]))))
+    return farthest > DRIVEN * min(end - begin, LASTS) and float(np.max(np.hypot(*np.diff(plan, 2)))) > LEAST_BEND
 
 
 def dead(r: Recording) -> Finding | None:
