@@ -238,7 +238,7 @@ def _position(message: Any) -> tuple[float, float]:
 
 
 def _quality(mode: str) -> float:
-    """What one system's mode says of a fix: none, or dead reckoning, which counts as none, or measured."""
+    """Fix quality by the mode of one satellite system; dead reckoning counts as no fix."""
     return 0.0 if mode in ("N", "E") else 1.0
 
 
