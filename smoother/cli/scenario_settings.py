@@ -13,27 +13,9 @@ from typing import Any
 import numpy as np
 
 from smoother.errors import UsageError
-from smoother.sim.motion import Motion, Spin, Stop
+from smoother.sim.motion import Spin, Stop
 from smoother.sim.presets import draw_scenario
-from smoother.sim.scenario import (
-    GnssErrors,
-    ImuErrors,
-    Interval,
-    Jump,
-    MagErrors,
-    NmeaRounding,
-    Scenario,
-    WheelErrors,
-    with_changes,
-)
-
-GROUPS: Mapping[str, type] = {
-    "motion": Motion,
-    "imu": ImuErrors,
-    "gnss": GnssErrors,
-    "mag": MagErrors,
-    "wheel": WheelErrors,
-}
+from smoother.sim.scenario import GROUPS, Interval, Jump, Scenario, with_changes
 
 
 def parsed(settings: Sequence[str]) -> dict[str, Any]:
@@ -89,8 +71,6 @@ def _reader(kind: Any) -> Callable[[str], Any]:
         return kind  # type: ignore[no-any-return]
     if kind is bool:
         return _truth_value
-    if kind is NmeaRounding:
-        return lambda text: NmeaRounding(*_numbers(text))
     if typing.get_origin(kind) is tuple:
         item = typing.get_args(kind)[0]
         return lambda text: tuple(_items(text, item)) if text else ()
@@ -102,12 +82,7 @@ def _expected(kind: Any) -> str:
         item = typing.get_args(kind)[0]
         parts = {Interval: "start:length", Stop: "time:length", Spin: "time:length", Jump: "start:length:north:west:up"}
         return f"a list {parts.get(item, 'number')},.."
-    names = {
-        float: "a number",
-        int: "a whole number",
-        bool: "true or false",
-        NmeaRounding: "minutes,height,knots,course",
-    }
+    names = {float: "a number", int: "a whole number", bool: "true or false"}
     return names.get(kind, "3 or 9 numbers with commas between")
 
 
@@ -126,12 +101,8 @@ def _items(text: str, item: type) -> Iterator[Any]:
             raise ValueError(part)
 
 
-def _numbers(text: str) -> list[float]:
-    return [float(part) for part in text.split(",")]
-
-
 def _array(text: str) -> Any:
-    numbers = np.array(_numbers(text))
+    numbers = np.array([float(part) for part in text.split(",")])
     if numbers.size not in (3, 9) or not np.all(np.isfinite(numbers)):
         raise ValueError(text)
     return numbers if numbers.size == 3 else numbers.reshape(3, 3)
@@ -147,10 +118,7 @@ def _truth_value(text: str) -> bool:
 def _shown(value: Any) -> str:
     """A value in the form of --set."""
     if dataclasses.is_dataclass(value):
-        separator = "," if isinstance(value, NmeaRounding) else ":"
-        return separator.join(_shown(getattr(value, field.name)) for field in dataclasses.fields(value)).replace(
-            ",", ":" if isinstance(value, Jump) else ","
-        )
+        return ":".join(_shown(getattr(value, field.name)) for field in dataclasses.fields(value)).replace(",", ":")
     if isinstance(value, np.ndarray):
         return ",".join(f"{number:.6g}" for number in value.ravel())
     if isinstance(value, tuple):

@@ -12,7 +12,7 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.errors import UsageError
 from smoother.sim.motion import Motion
-from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, Jump, MagErrors, NmeaRounding, Scenario
+from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, Jump, MagErrors, Scenario
 from smoother.units import DEG, MILLISECOND, STANDARD_GRAVITY
 
 Range = tuple[float, float]
@@ -88,6 +88,10 @@ def _signed(value: float | Range, rng: np.random.Generator, count: int) -> Array
     return rng.choice([-1.0, 1.0], count) * rng.uniform(low, high, count)
 
 
+def _within(limits: Range, rng: np.random.Generator, count: int) -> tuple[float, ...]:
+    return tuple(rng.uniform(*limits, size=count).tolist())
+
+
 def _same(figures: Figures, *names: str) -> dict[str, Any]:
     """Figures that a sensor has under the same name."""
     return {name: figures[name] for name in names}
@@ -115,7 +119,7 @@ def _draw_matrix(figures: Figures, rng: np.random.Generator) -> Array:
 
 
 def _draw_gnss(figures: Figures, duration: float, rng: np.random.Generator) -> GnssErrors:
-    factors = (None, None) if figures["reported_factor"] is None else tuple(rng.uniform(*figures["reported_factor"], 2))
+    factors = (None, None) if figures["reported_factor"] is None else _within(figures["reported_factor"], rng, 2)
     latency = rng.uniform(*figures["position_latency"])
     return GnssErrors(
         **_same(
@@ -127,14 +131,14 @@ def _draw_gnss(figures: Figures, duration: float, rng: np.random.Generator) -> G
         sacc_factor=factors[1],
         outages=_scattered(tuple(rng.uniform(*lengths) for lengths in figures["outages"]), duration, rng),
         jumps=_draw_jumps(figures, duration, rng),
-        rounding=None if figures["offset_horizontal"] == 0.0 else NmeaRounding(),
+        rounding=figures["offset_horizontal"] > 0.0,
     )
 
 
 def _draw_jumps(figures: Figures, duration: float, rng: np.random.Generator) -> tuple[Jump, ...]:
     """Jumps in any level direction, of one to five fixes at 5 Hz."""
     jumps = []
-    for interval in _scattered(tuple(rng.uniform(0.2, 1.0, figures["jumps"])), duration, rng):
+    for interval in _scattered(_within((0.2, 1.0), rng, figures["jumps"]), duration, rng):
         size, direction = rng.uniform(*figures["jump_size"]), rng.uniform(0.0, _SIDES)
         offset_n = size * np.array([np.cos(direction), np.sin(direction), 0.0])
         jumps.append(Jump(interval.start, interval.duration, offset_n))

@@ -27,7 +27,7 @@ _INT16 = (-32768, 32767)
 NMEA_BLOCK = 96  # bytes of the receiver's buffer in out.txt for each sentence, of which none is longer than 82
 
 
-def write_csv(simulation: Simulation, directory: Path, truth_rate: float = 50.0) -> None:
+def write_csv(simulation: Simulation, directory: Path) -> None:
     """Write imu.csv, gps.csv, mag.csv, wheel_speed.csv, truth.csv and truth_laps.csv into `directory`, made if need be.
 
     A magnetometer that was calibrated before the session also gets its calibration.toml.
@@ -43,12 +43,10 @@ def write_csv(simulation: Simulation, directory: Path, truth_rate: float = 50.0)
         write_table(wheel_table(raw.wheel_speed), directory / "wheel_speed.csv")
     if raw.mag_calibration_field is not None:
         write_mag_calibration(simulation, directory / "calibration.toml")
-    write_truth(simulation, directory, truth_rate)
+    write_truth(simulation, directory)
 
 
-def write_thesis(
-    simulation: Simulation, directory: Path, truth_rate: float = 50.0, sentences: Sequence[str] = ("RMC",)
-) -> None:
+def write_thesis(simulation: Simulation, directory: Path, sentences: Sequence[str] = ("RMC",)) -> None:
     """Write out.txt, magcalib.txt (if there are readings), truth.csv and truth_laps.csv into `directory`.
 
     The format has millisecond stamps, 4 g and 500 deg/s; magnetometer and sentences come with the fixes only. The
@@ -63,7 +61,7 @@ def write_thesis(
     if raw.mag_calibration_field is not None:
         rows = [thesis.RECORD_START + triple for triple in _mag_triples(raw.mag_calibration_field)]
         (directory / "magcalib.txt").write_bytes(b"".join(rows))
-    write_truth(simulation, directory, truth_rate)
+    write_truth(simulation, directory)
 
 
 def write_truth(simulation: Simulation, directory: Path, rate: float = 50.0) -> None:

@@ -42,7 +42,7 @@ _GPS_EPOCH, _LEAP_SECONDS = 315_964_800.0, 18.0  # s: 6 January 1980, and by how
 _LONGEST_EARLY = 1.0  # s; stamps this much before power-on are jitter
 
 
-def write_klg(simulation: Simulation, directory: Path, truth_rate: float = 50.0) -> None:
+def write_klg(simulation: Simulation, directory: Path) -> None:
     """Write LOG00002.KLG, truth.csv, truth_laps.csv, and LOG00001.KLG if there are readings to calibrate the compass.
 
     Ranges are the smallest of the sensor's that hold those of the simulation. Raises UsageError for what the logger
@@ -54,7 +54,7 @@ def write_klg(simulation: Simulation, directory: Path, truth_rate: float = 50.0)
     if simulation.raw.mag_calibration_field is not None:
         calibration = calibration_records(simulation.raw.mag_calibration_field)
         (directory / CALIBRATION_FILE).write_bytes(encode(calibration, _session(calibration)))
-    write_truth(simulation, directory, truth_rate)
+    write_truth(simulation, directory)
 
 
 def _session(records: LogRecords) -> int:

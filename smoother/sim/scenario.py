@@ -87,7 +87,6 @@ class ImuErrors:
     gyro_tone: float = 0.0  # rad/s
     harmonics: tuple[float, ...] = (1.0, 0.5, 0.25)
     anti_alias_hz: float | None = 92.0  # the MPU9250's DLPF setting 2
-    anti_alias_order: int = 2
     clock_offset: float = 0.0  # s
     clock_drift: float = 0.0
     jitter: float = 0.0  # s
@@ -107,16 +106,6 @@ class ImuErrors:
         That is for a smoother to find, as of a logger that tells nothing.
         """
         return 0.5 / self.rate if self.latency == self.accel_delay == 0.0 else None
-
-
-@dataclass(frozen=True)
-class NmeaRounding:
-    """Last digit of the sentences of a NEO-6M: minutes of arc, metres, knots, degrees."""
-
-    minutes: float = 1e-5
-    height: float = 0.1
-    knots: float = 1e-3
-    course_deg: float = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,20 +135,13 @@ class GnssErrors:
     sacc_factor: float | None = 1.0
     outages: tuple[Interval, ...] = ()
     jumps: tuple[Jump, ...] = ()
-    rounding: NmeaRounding | None = None
+    rounding: bool = False  # to the last digit of the sentences of a NEO-6M
 
     def __post_init__(self) -> None:
         _check(self)
-        sigmas = (
-            "white_horizontal",
-            "white_up",
-            "offset_horizontal",
-            "offset_up",
-            "velocity_sigma",
-            "velocity_lasting",
-        )
-        others = ("receive_jitter", "hacc_factor", "sacc_factor")
-        require_figures(self, "gnss", (*sigmas, *others), ("offset_tau", "velocity_tau"))
+        positions = ("white_horizontal", "white_up", "offset_horizontal", "offset_up")
+        others = ("velocity_sigma", "velocity_lasting", "receive_jitter", "hacc_factor", "sacc_factor")
+        require_figures(self, "gnss", (*positions, *others), ("offset_tau", "velocity_tau"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +217,13 @@ class Scenario:
         require_figures(self, "")
 
 
-_GROUPS = ("motion", "imu", "gnss", "mag", "wheel")
+GROUPS: Mapping[str, type] = {
+    "motion": Motion,
+    "imu": ImuErrors,
+    "gnss": GnssErrors,
+    "mag": MagErrors,
+    "wheel": WheelErrors,
+}
 
 
 def with_changes(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -257,11 +245,11 @@ def with_changes(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
 
 def _split(key: str) -> tuple[str | None, str]:
     known: dict[str, tuple[str | None, str]] = {f.name: (None, f.name) for f in dataclasses.fields(Scenario)}
-    for group, kind in zip(_GROUPS, (Motion, ImuErrors, GnssErrors, MagErrors, WheelErrors), strict=True):
+    for group, kind in GROUPS.items():
         known.update({f"{group}.{f.name}": (group, f.name) for f in dataclasses.fields(kind)})
         known.update({f"{group}_{f.name}": (group, f.name) for f in dataclasses.fields(kind)})
     if key not in known:
-        figures = [name for name in known if name not in _GROUPS]  # a group is none by itself
+        figures = [name for name in known if name not in GROUPS]  # a group is none by itself
         nearest = difflib.get_close_matches(key, figures, n=1, cutoff=0.0)
         raise UsageError(f"no figure named {key!r}; the nearest is {nearest[0]!r}")
     return known[key]

@@ -17,7 +17,7 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.samples import GnssFixes, RawImu, RawMag, WheelSpeed
-from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, MagErrors, NmeaRounding, WheelErrors
+from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, MagErrors, WheelErrors
 from smoother.sim.truth import Truth
 from smoother.units import KNOT
 
@@ -127,11 +127,11 @@ def _walk(density: float, rate: float, count: int, rng: np.random.Generator) -> 
     return np.asarray(density / np.sqrt(rate) * np.cumsum(steps, axis=0))
 
 
-def filter_response(frequency: Array, cutoff_hz: float | None, order: int) -> np.ndarray:
-    """Complex gain (N,) at frequency (N,) Hz of the Butterworth filter before the sampling; 1 without a filter."""
+def filter_response(frequency: Array, cutoff_hz: float | None) -> np.ndarray:
+    """Complex gain (N,) at frequency (N,) Hz of the second-order Butterworth filter before the sampling; 1 without."""
     if cutoff_hz is None:
         return np.ones(np.shape(frequency), dtype=np.complex128)
-    numerator, denominator = butter(order, 2.0 * np.pi * cutoff_hz, analog=True)
+    numerator, denominator = butter(2, 2.0 * np.pi * cutoff_hz, analog=True)
     s = 2j * np.pi * np.asarray(frequency)
     return np.asarray(np.polyval(numerator, s) / np.polyval(denominator, s))
 
@@ -146,7 +146,7 @@ def _vibration(truth: Truth, errors: ImuErrors, time: Array, rng: np.random.Gene
     session_time = truth.clock.to_session(time)
     revolutions, rpm = truth.engine_revolutions(session_time), truth.engine_rpm(session_time)
     for order, (relative, shift) in enumerate(zip(errors.harmonics, phase, strict=True), start=1):
-        response = filter_response(order * rpm / 60.0, errors.anti_alias_hz, errors.anti_alias_order)
+        response = filter_response(order * rpm / 60.0, errors.anti_alias_hz)
         angle = 2.0 * np.pi * order * revolutions + np.angle(response)
         total += relative * np.abs(response)[:, None] * np.sin(angle[:, None] + shift)
     return np.asarray(total * amplitude * truth.running(session_time)[:, None])
@@ -231,8 +231,11 @@ def _fixes(
     lat, lon, alt = nwu_to_geodetic(position_n, origin)
     speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
     course = np.mod(np.degrees(np.arctan2(-velocity_n[:, 1], velocity_n[:, 0])), 360.0)
-    if errors.rounding is not None:
-        lat, lon, alt, speed, course = _rounded(errors.rounding, lat, lon, alt, speed, course)
+    if errors.rounding:
+        steps = (1e-5 / 60.0, 1e-5 / 60.0, 0.1, 1e-3 * KNOT, 1e-2)  # of a NEO-6M
+        values = zip((lat, lon, alt, speed, course), steps, strict=True)
+        lat, lon, alt, speed, course = (np.round(value / step) * step for value, step in values)
+        course = np.mod(course, 360.0)
     n = len(stamps)
     if not errors.velocity:
         speed, course = np.full(n, np.nan), np.full(n, np.nan)
@@ -261,22 +264,6 @@ def _fixes(
 
 def _reported(sigma: float, factor: float | None, count: int) -> Array:
     return np.full(count, np.nan if factor is None else factor * sigma)
-
-
-def _rounded(
-    rounding: NmeaRounding, lat: Array, lon: Array, alt: Array, speed: Array, course: Array
-) -> tuple[Array, Array, Array, Array, Array]:
-    def to(values: Array, step: float) -> Array:
-        return np.round(values / step) * step
-
-    degrees, knots = rounding.minutes / 60.0, rounding.knots * KNOT
-    return (
-        to(lat, degrees),
-        to(lon, degrees),
-        to(alt, rounding.height),
-        to(speed, knots),
-        np.mod(to(course, rounding.course_deg), 360.0),
-    )
 
 
 def earth_field_n(origin: Origin, unix_s: float) -> Array:

@@ -55,10 +55,9 @@ class Simulation:
         """The track driven."""
         return TRACKS[self.scenario.track]
 
-    def lap_crossings(self, of_imu: bool = False) -> Array:
-        """Session times (K,) s at which the antenna (or the IMU) crosses the start/finish line, within the session."""
-        arm = None if of_imu else self.scenario.lever_arm_b
-        crossings = self.truth.crossings(self.track.start_line, arm)
+    def lap_crossings(self) -> Array:
+        """Session times (K,) s at which the antenna crosses the start/finish line, within the session."""
+        crossings = self.truth.crossings(self.track.start_line, self.scenario.lever_arm_b)
         start, end = self.truth.clock.to_session(np.array([0.0, self.scenario.duration]))
         return np.asarray(crossings[(crossings >= start) & (crossings <= end)])
 

@@ -23,7 +23,7 @@ CENTIMETRES = {
     "gnss_offset_up": 0.015,
     "gnss_velocity_sigma": 0.03,
     "gnss_hacc_factor": 1.0,
-    "gnss_rounding": None,
+    "gnss_rounding": False,
     "gnss_receive_jitter": 0.0,
     "gnss_outages": (),
 }

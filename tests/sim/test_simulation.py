@@ -83,8 +83,8 @@ def test_rates_from_the_slowest_to_the_fastest_are_served(imu_rate, gnss_rate):
     assert len(raw.imu.t) == 30 * imu_rate and len(raw.gnss) == 30 * gnss_rate + 1
 
 
-def test_laps_are_counted_at_the_antenna_and_on_request_at_the_imu():
+def test_laps_are_counted_at_the_antenna_not_at_the_imu():
     simulation = simulate_preset("kart", 2, duration=150.0)
-    antenna, imu = simulation.lap_crossings(), simulation.lap_crossings(of_imu=True)
+    antenna, imu = simulation.lap_crossings(), simulation.truth.crossings(simulation.track.start_line)
     assert len(antenna) == len(imu) >= 2
     assert 0.003 < np.max(np.abs(antenna - imu)) < 0.1
