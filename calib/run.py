@@ -2,11 +2,11 @@
 
 import datetime as dt
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib import allan, ellipsoid, gyro_bias, in_kart, level, six_position, timing
+from calib import allan, ellipsoid, gyro_bias, level, six_position, timing
 from calib.outcome import Outcome, Refusal
 from calib.recording import Recording
 from smoother.calibration import Calibration, merged
@@ -25,10 +25,7 @@ class RunOptions:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """One outcome per successful procedure (timing: one per recording), and why others failed.
-
-    `calibration` is what sessions are to be calibrated by; a magnetometer known from laps alone is only in `notes`.
-    """
+    """One outcome per successful procedure (timing: one per recording), why others failed, and the calibration."""
 
     outcomes: tuple[Outcome, ...]
     refusals: tuple[Refusal, ...]
@@ -54,7 +51,6 @@ def run(
         (six_position.TURNS_PROCEDURE, six_position.calibrate_gyro_scale),
         (allan.PROCEDURE, lambda r: allan.calibrate(r, state.calibration)),
         (ellipsoid.PROCEDURE, ellipsoid.calibrate),
-        (in_kart.PROCEDURE, in_kart.calibrate),
         (timing.AGAINST_PROCEDURE, lambda r: timing.calibrate_against_gyro(r, state.calibration)),
         (
             level.PROCEDURE,
@@ -63,18 +59,12 @@ def run(
     ]
     for i, (name, procedure) in enumerate(steps):
         progress(name, i / len(steps))
-        if name == in_kart.PROCEDURE and state.calibration.hard_iron is not None:
-            continue  # readings in all directions are better
         state.take(name, recordings, procedure, keep_all=name == timing.PROCEDURE)
     notes: dict[str, dict[str, object]] = {}
     for outcome in state.outcomes:
         for table, keys in outcome.notes.items():
             notes.setdefault(table, {}).update(keys)
-    calibration = state.calibration
-    if in_kart.TABLE in notes:
-        of_imu = {name: sigma for name, sigma in calibration.sigmas.items() if name not in ("hard_iron", "soft_iron")}
-        calibration = replace(calibration, hard_iron=None, soft_iron=None, sigmas=of_imu)
-    return Results(tuple(state.outcomes), tuple(state.refusals), calibration, notes)
+    return Results(tuple(state.outcomes), tuple(state.refusals), state.calibration, notes)
 
 
 @dataclass

@@ -162,7 +162,7 @@ _NOTES = {  # what `smooth calibrate` writes beside them, for people
     "gyroscope": ("noise_covariance", "rest_s", "turns"),
     "magnetometer": ("coverage", "semi_axes", "axes_turned", "axes_turned_sigma", "assumed", "level_hard_iron_sigma"),
 }
-_NOT_USED = "magnetometer_in_kart"  # its table says so
+_NOT_USED = "magnetometer_in_kart"  # a table that earlier versions wrote as information
 _ALIKE = 0.7  # of names that are meant for one another, as difflib counts
 
 
