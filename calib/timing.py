@@ -1,4 +1,4 @@
-"""Check of timing and signal: rate, jitter, gaps, clipping, vibration of the engine, latency of the magnetometer."""
+"""Check of timing and signal: rate, jitter, gaps, clipping, vibration, latency of the magnetometer."""
 
 import numpy as np
 
@@ -8,8 +8,13 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.calibration import Calibration
 from smoother.fit.ellipsoid import FitError
-from smoother.fit.spectrum import EngineLine, engine_line, revolutions, vibration_spectrum
-from smoother.fit.timing import Timing, clipped_share, magnetometer_against_gyro, sample_timing
+from smoother.fit.timing import (
+    Timing,
+    clipped_share,
+    magnetometer_against_gyro,
+    sample_timing,
+    vibration_spectrum,
+)
 from smoother.samples import RawImu
 from smoother.units import DEG, MILLISECOND
 
@@ -18,7 +23,7 @@ AGAINST_PROCEDURE = "magnetometer against gyroscope"
 
 
 def calibrate(recording: Recording) -> Outcome:
-    """Return rate, jitter, gaps, clipping, vibration and the engine's line. Raises FitError without a motion sensor."""
+    """Return rate, jitter, gaps, clipping and vibration. Raises FitError without a motion sensor."""
     if recording.imu is None or recording.imu_stamps is None:
         raise FitError("no motion sensor was recorded")
     timing = sample_timing(recording.imu_stamps)
@@ -28,7 +33,7 @@ def calibrate(recording: Recording) -> Outcome:
     remarks: list[str] = []
     drawing: dict[str, object] = {}
     try:
-        drawing = _vibration(recording, values, remarks)
+        drawing = _vibration(recording, values)
     except FitError as error:
         remarks.append(str(error))
     if recording.is_thesis:
@@ -36,16 +41,14 @@ def calibrate(recording: Recording) -> Outcome:
     return Outcome(PROCEDURE, recording.name, tuple(values), remarks=tuple(remarks), drawing=drawing)
 
 
-def _vibration(recording: Recording, values: list[Value], remarks: list[str]) -> dict[str, object]:
-    """Add what the vibration shows to values and remarks; return what its figure needs. Raises FitError."""
-    t, force, rate = _longest_piece(recording)
+def _vibration(recording: Recording, values: list[Value]) -> dict[str, object]:
+    """Add the strength of the vibration to values; return what its figure needs. Raises FitError."""
+    force, rate = _longest_piece(recording)
     hz = recording.imu_rate
     spectra = {"accelerometer": vibration_spectrum(force, hz), "gyroscope": vibration_spectrum(rate, hz)}
     values.append(Value("vibration above 2 Hz, acceleration", spectra["accelerometer"].rms(2.0), None, "m/s²"))
     values.append(Value("vibration above 2 Hz, turning", spectra["gyroscope"].rms(2.0) / DEG, None, "deg/s"))
-    line = engine_line(t, np.hstack([force, rate]), hz)
-    values += _line_values(line, hz, recording.is_driven, remarks)
-    return {"spectra": spectra, "line": line, "rate": hz}
+    return {"spectra": spectra}
 
 
 def _timing_values(sensor: str, timing: Timing) -> list[Value]:
@@ -72,35 +75,15 @@ def _clipping(imu: RawImu) -> list[Value]:
     ]
 
 
-def _longest_piece(recording: Recording) -> tuple[Array, Array, Array]:
-    """Times, force and rate of the longest stretch without a gap."""
+def _longest_piece(recording: Recording) -> tuple[Array, Array]:
+    """Force and rate in the longest stretch without a gap."""
     assert recording.imu is not None
     t = recording.imu.t
     cuts = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1
     bounds = np.concatenate([[0], cuts, [len(t)]])
     k = int(np.argmax(np.diff(bounds)))
     piece = slice(int(bounds[k]), int(bounds[k + 1]))
-    return t[piece], recording.force[piece], recording.rate[piece]
-
-
-def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str]) -> list[Value]:
-    name = "engine vibration" if is_driven else "strongest line"
-    if not line.is_there:
-        remarks.append(line.why_none)
-        return []
-    frequency = line.frequency[line.is_seen]
-    both = line.amplitude[line.is_seen].reshape(-1, 2, 3)  # accelerometer, gyroscope
-    amplitude = np.linalg.norm(both, axis=2)
-    low, high = np.percentile(frequency, [10.0, 90.0])
-    remarks.append(f"{name} seen in {100.0 * line.share:.0f} % of the time")
-    if is_driven:
-        speeds = ", ".join(f"{rpm:.0f}" for rpm in revolutions(float(np.median(frequency)), hz))
-        remarks.append(f"its median frequency may be aliased: {speeds or 'no engine speed'} rpm are possible")
-    return [
-        Value(f"{name}, from 10 % to 90 % of the time", np.array([low, high]), None, "Hz"),
-        Value(f"{name}, median amplitude", float(np.median(amplitude[:, 0])), None, "m/s²"),
-        Value(f"{name}, median amplitude of turning", float(np.median(amplitude[:, 1])) / DEG, None, "deg/s"),
-    ]
+    return recording.force[piece], recording.rate[piece]
 
 
 def calibrate_against_gyro(recording: Recording, calibration: Calibration) -> Outcome:

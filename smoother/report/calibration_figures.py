@@ -5,7 +5,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -15,7 +14,7 @@ from smoother.fit.allan import AllanDeviation, NoiseFigures
 from smoother.fit.ellipsoid import Ellipsoid
 from smoother.fit.gyro_bias import TemperatureFit
 from smoother.fit.six_position import AccelFit
-from smoother.fit.spectrum import EngineLine, Spectrum
+from smoother.fit.timing import Spectrum
 from smoother.report import style
 from smoother.units import DEG, STANDARD_GRAVITY
 
@@ -86,20 +85,6 @@ def _cube(axes: Axes3D, points: Array) -> None:
         axis.set_major_locator(MaxNLocator(5))
 
 
-def level_field(before: Array, after: Array) -> Figure:
-    """Level part of the field (N, 2) while driving, as read and calibrated: an ellipse becomes a circle about zero."""
-    figure = style.new_figure("Magnetometer in the kart: the level part of the field", 12.0, 6.0)
-    for axes, points, title, colour in zip(
-        figure.subplots(1, 2), (before, after), ("as read (units)", "calibrated"), (BEFORE, AFTER), strict=True
-    ):
-        shown = points[:: max(1, len(points) // MOST_POINTS)]
-        axes.plot(*shown.T, ".", color=colour, markersize=3, alpha=0.5)
-        axes.plot(0, 0, "+", color=style.INK, markersize=14)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title(title)
-    return figure
-
-
 def positions(force: Array, fit: AccelFit) -> Figure:
     """Length of the mean force (K, 3) in each resting position, before and after."""
     figure = style.new_figure("Accelerometer: length of gravity in each resting position", 12.0, 6.4)
@@ -166,12 +151,10 @@ def allan(curves: Mapping[str, AllanDeviation], figures: Mapping[str, NoiseFigur
     return figure
 
 
-def spectrum(spectra: Mapping[str, Spectrum], line: EngineLine, rate: float) -> Figure:
-    """Amplitude density of both sensors, and the strongest line over time."""
-    figure = style.new_figure("Vibration", 12.0, 8.0)
-    grid = figure.add_gridspec(2, 2, height_ratios=(1.2, 1.0))
-    for k, (name, found) in enumerate(spectra.items()):
-        axes = figure.add_subplot(grid[0, k])
+def spectrum(spectra: Mapping[str, Spectrum]) -> Figure:
+    """Amplitude density of both sensors."""
+    figure = style.new_figure("Vibration", 12.0, 5.2)
+    for axes, (name, found) in zip(figure.subplots(1, 2), spectra.items(), strict=True):
         factor, unit = (1.0 / DEG, "deg/s/√Hz") if name == "gyroscope" else (1.0, "m/s²/√Hz")
         shown = found.frequency > 0.0
         for i in range(3):
@@ -182,22 +165,7 @@ def spectrum(spectra: Mapping[str, Spectrum], line: EngineLine, rate: float) -> 
         axes.set_xlabel("frequency as sampled (Hz)")
         axes.set_ylabel(unit)
         style.outside_legend(axes)
-    _line(figure.add_subplot(grid[1, :]), line, rate)
     return figure
-
-
-def _line(axes: Axes, line: EngineLine, rate: float) -> None:
-    axes.set_title("the strongest line" if line.is_there else line.why_none)
-    seen = line.is_seen
-    if np.any(seen):
-        amplitude = np.linalg.norm(line.amplitude[seen, :3], axis=1)
-        size = 4.0 + 40.0 * np.sqrt(amplitude / max(float(np.max(amplitude)), 1e-300))
-        points = axes.scatter(line.t[seen], line.frequency[seen], s=size, c=amplitude, cmap="viridis_r")
-        axes.figure.colorbar(points, ax=axes, label="amplitude (m/s²)", pad=0.01)
-    axes.set_ylim(0.0, 0.5 * rate)
-    axes.set_xlim(float(line.t[0]), float(line.t[-1]))
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("frequency (Hz)")
 
 
 def temperature(temperature: Array, means: Array, fit: TemperatureFit) -> Figure:
@@ -227,7 +195,6 @@ FIGURES: Mapping[str, tuple[Callable[..., Figure], str]] = {
     "gyroscope bias": (temperature, "gyro_temperature"),
     "accelerometer": (positions, "accelerometer"),
     "magnetometer": (ellipsoid, "magnetometer"),
-    "magnetometer, in the kart": (level_field, "magnetometer_in_kart"),
     "level and heading": (alignment, "level"),
     "noise at rest": (allan, "allan"),
     "timing and vibration": (spectrum, "spectrum"),

@@ -157,7 +157,6 @@ def test_a_drive_without_a_stop_is_still_checked_for_timing(tmp_path: Path, caps
     assert run(["calibrate", str(tmp_path)]) == 0
     said = capsys.readouterr()
     assert "motion sensor, rate" in said.out
-    assert "the samples are too few or too slow to follow an engine's line" in " ".join(said.out.split())
     assert "no calibration.toml is written" in said.err
     assert not (tmp_path / "calibration.toml").exists()
 

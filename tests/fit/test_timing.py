@@ -1,11 +1,11 @@
-"""Rate, jitter, gaps, clipping, and the magnetometer against the gyroscope."""
+"""Rate, jitter, gaps, clipping, vibration, and the magnetometer against the gyroscope."""
 
 import numpy as np
 import pytest
 
 from smoother import so3
 from smoother.fit.ellipsoid import FitError
-from smoother.fit.timing import clipped_share, magnetometer_against_gyro, sample_timing
+from smoother.fit.timing import clipped_share, magnetometer_against_gyro, sample_timing, vibration_spectrum
 from smoother.sim.bench import BenchErrors, BenchPlan, simulate_bench
 from smoother.sim.scenario import ImuErrors, MagErrors
 
@@ -90,3 +90,26 @@ def test_axes_that_do_not_belong_together_are_refused():
     bench = recording(0.0, np.zeros(3))
     with pytest.raises(FitError, match="does not turn as the gyroscope says"):
         magnetometer_against_gyro(bench.imu.t, -bench.imu.gyro, bench.mag.t, bench.mag.field / 47.4)
+
+
+RATE = 200.0
+T = np.arange(int(60 * RATE)) / RATE
+
+
+def test_white_noise_has_its_variance_spread_evenly():
+    values = np.random.default_rng(1).standard_normal((len(T), 3))
+    found = vibration_spectrum(values, RATE)
+    inner = (found.frequency > 5.0) & (found.frequency < 95.0)
+    np.testing.assert_allclose(found.density[inner].mean(axis=0), 2.0 / RATE, rtol=0.05)
+    np.testing.assert_allclose(found.rms(), 1.0, rtol=0.05)
+
+
+def test_the_rms_of_a_band_is_that_of_the_tone_in_it():
+    values = np.stack([3.0 * np.sin(2.0 * np.pi * 40.0 * T), np.zeros_like(T), np.zeros_like(T)], axis=1)
+    np.testing.assert_allclose(vibration_spectrum(values, RATE).rms(35.0, 45.0)[0], 3.0 / np.sqrt(2.0), rtol=0.02)
+
+
+@pytest.mark.parametrize(("values", "says"), [(np.zeros((20, 3)), "too few"), (np.full((5000, 3), np.nan), "finite")])
+def test_degenerate_readings_are_refused(values, says):
+    with pytest.raises(FitError, match=says):
+        vibration_spectrum(values, RATE)
