@@ -33,12 +33,11 @@ from pathlib import Path
 import numpy as np
 
 from bound import BoundOptions, information_bound
+from live_here import Foreground, LocalNavigator
 from smoother import api, so3
 from smoother.arrays import Array
 from smoother.live.engine import Engine, Snapshot
-from smoother.live.identify import Foreground
 from smoother.live.lag import LagState
-from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import Chunk, Receiver
 from smoother.live.remote_navigator import RemoteNavigator
 from smoother.live.running import Drawn, run

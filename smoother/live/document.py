@@ -45,7 +45,7 @@ def document_of(frame: Frame) -> dict[str, object]:
             "lon_deg": s.lon_deg,
         },
         "laps": {"lap": s.laps.lap, "running_s": s.laps.running, "last_s": s.laps.last, "best_s": s.laps.best},
-        "compass": {"coverage": s.coverage, "rms_ut": s.field_rms, "is_calibrating": s.is_calibrating},
+        "compass": {"is_calibrating": s.is_calibrating},
         "losses": {
             "lost_frames": s.losses.lost_frames,
             "lost_share": s.losses.lost_share,

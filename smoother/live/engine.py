@@ -1,7 +1,7 @@
 """The state of a live stream: bytes in, a Snapshot out. No clock, no port, no screen.
 
-Fast work is done here: decoding, Madgwick's filter, rates, the sphere of the magnetometer. The rest is done by the
-navigator, which may run in another process and is never waited for. All buffers are bounded.
+Fast work is done here: decoding, Madgwick's filter, rates. The rest is done by the navigator, which may run in another
+process and is never waited for. All buffers are bounded.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,6 @@ from smoother.arrays import Array
 from smoother.calibration import Calibration
 from smoother.live.attitude import MadgwickTracker
 from smoother.live.decoding import Batch, Decoder, Losses
-from smoother.live.field import FieldSphere
 from smoother.live.identify import MOVED
 from smoother.live.lag import LagState
 from smoother.live.laptimes import LapTimes
@@ -24,11 +23,10 @@ from smoother.samples import GnssFixes, ImuSamples
 from smoother.session.log_format import PURPOSE_MAG_CALIBRATION, LogRecords
 
 SILENT = 1.5  # s without a fix, after which there is none
-FIT_EVERY = 2.0  # s between fits of the compass's ellipsoid
 
 
 class Navigating(Protocol):
-    """Where the smoother runs: navigator.LocalNavigator or remote_navigator.RemoteNavigator."""
+    """Where the smoother runs: remote_navigator.RemoteNavigator, or one of a test."""
 
     @property
     def is_behind(self) -> bool:
@@ -51,7 +49,7 @@ class Snapshot:
     madgwick (3, 3): R_ns of the sensor, before there is a mounting, else R_nb of the kart; lag: the smoother's state,
     None before; smoother_arrival like arrival, of the newest bytes in that; left_out s of stream that it
     dropped. force (3,) m/s^2, rate (3,) rad/s: means of the newest samples, in s. rates per second by sensor. speed
-    m/s, of the fix where the smoother has none. field_points (K, 3) uT.
+    m/s, of the fix where the smoother has none.
     """
 
     t: float = 0.0
@@ -67,10 +65,6 @@ class Snapshot:
     speed: float = float("nan")
     fix_age: float = float("inf")
     laps: LapTimes = field(default_factory=LapTimes)
-    coverage: float = 0.0
-    field_points: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    field_centre: Array = field(default_factory=lambda: np.zeros(3))
-    field_rms: float = float("nan")
     is_calibrating: bool = False
     losses: Losses = field(default_factory=Losses)
     stage: str = "waiting for the logger"
@@ -89,8 +83,6 @@ class _Drive:
         self.madgwick = MadgwickTracker()
         self.assembler = FixAssembler()
         self.meters = {name: RateMeter() for name in ("imu", "mag", "gps")}
-        self.has_moved = False
-        self.fit_at = 0.0
         self.imu_t = self.mag_t = float("-inf")
 
 
@@ -100,7 +92,6 @@ class Engine:
     def __init__(self, navigating: Navigating, calibration: Calibration | None = None) -> None:
         self._navigating, self._calibration = navigating, calibration or Calibration()
         self._decoder = Decoder()
-        self._sphere = FieldSphere()
         self._drive = _Drive()
         self._snapshot = Snapshot()
         self._navigation = Navigation()
@@ -135,14 +126,11 @@ class Engine:
         """Return the samples, and the fixes that they complete, for the navigator."""
         d = self._drive
         items: list[Item] = []
-        field_and_raw = field_samples(records, self._calibration, d.mag_t)
+        mag = field_samples(records, self._calibration, d.mag_t)
         imu = inertial_samples(records, self._calibration, d.imu_t)
-        mag = None
-        if field_and_raw is not None:
-            mag, raw = field_and_raw
+        if mag is not None:
             d.mag_t = float(mag.t[-1])
             d.meters["mag"].add(d.mag_t, len(mag.t))
-            self._sphere.feed(raw)
         if imu is not None:
             d.imu, d.imu_t = imu, float(imu.t[-1])
             d.meters["imu"].add(d.imu_t, len(imu.t))
@@ -152,7 +140,6 @@ class Engine:
         for fix in d.assembler.feed(records.sentences, now):
             d.fix = fix
             d.meters["gps"].add(float(fix.t[-1]), 1)
-            d.has_moved = d.has_moved or speed_of(fix) > MOVED
             items.append(fix)
         return items
 
@@ -163,8 +150,7 @@ class Engine:
         if madgwick is not None and R_bs is not None:
             madgwick = madgwick @ R_bs.T
         now = max(d.imu_t, float(fix.t[-1]) if fix is not None else 0.0, 0.0)
-        is_calibrating = self._is_calibrating(now)
-        sphere = self._sphere
+        setup = self._decoder.setup
         return Snapshot(
             now,
             arrival,
@@ -179,11 +165,7 @@ class Engine:
             _shown_speed(lag, fix),
             float("inf") if fix is None else now - float(fix.t[-1]),
             navigation.laps.running_on(now),
-            sphere.coverage,
-            sphere.points,
-            sphere.centre,
-            float("nan") if sphere.ellipsoid is None else sphere.ellipsoid.rms,
-            is_calibrating,
+            setup is not None and setup.purpose == PURPOSE_MAG_CALIBRATION,
             self._decoder.losses,
             self._stage(),
             float("nan") if fix is None else float(fix.lat_deg[-1]),
@@ -197,16 +179,6 @@ class Engine:
         stage, fix = self._navigation.stage, self._drive.fix
         is_driving = fix is not None and speed_of(fix) > MOVED
         return "waiting for the smoother" if is_driving and stage in (DRIVE, NOTHING_YET) else stage
-
-    def _is_calibrating(self, now: float) -> bool:
-        """Whether the logger calibrates; then, and until the kart drives, the ellipsoid of the magnetometer is
-        fitted."""
-        d, setup = self._drive, self._decoder.setup
-        is_calibrating = setup is not None and setup.purpose == PURPOSE_MAG_CALIBRATION
-        if now > d.fit_at and (is_calibrating or not d.has_moved):
-            d.fit_at = now + FIT_EVERY
-            self._sphere.fit()
-        return is_calibrating
 
 
 def _is_news(before: Navigation, after: Navigation) -> bool:

@@ -5,7 +5,7 @@ the prior of the stream, so that no fix counts twice.
 """
 
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -98,30 +98,3 @@ class Job(Protocol[T_co]):
     def result(self) -> T_co | str:
         """Return it. Only once it is done."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class Done(Generic[T_co]):
-    """A finished computation."""
-
-    value: T_co
-
-    def done(self) -> bool:
-        """Always true."""
-        return True
-
-    def result(self) -> T_co:
-        """Return it."""
-        return self.value
-
-
-class Foreground:
-    """A Worker that computes immediately: for tests and for playing a file at full speed."""
-
-    def identify(self, window: Window) -> Job[LagStart | str]:
-        """Run :func:`identify`."""
-        return Done(identify(window))
-
-    def find_line(self, t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None) -> Job[Line | None]:
-        """Run :func:`find_line`."""
-        return Done(find_line(t, position_n, velocity_n, given))

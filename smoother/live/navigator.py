@@ -7,7 +7,6 @@ of samples for the identification, the lag of the smoother, the path of the last
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -239,32 +238,6 @@ class Navigator:
         if not self._imu and not self._fixes:
             return NOTHING_YET
         return DRIVE if self._fixes else "attitude only, no fix yet"
-
-
-class LocalNavigator:
-    """A navigator in this process, synchronous: for tests and measurements."""
-
-    is_behind = False
-
-    def __init__(self, worker: Worker, tracks: tuple[TrackFile, ...] = (), lag: LagOptions | None = None) -> None:
-        self._make = partial(Navigator, worker, tracks, lag)
-        self._navigator = self._make()
-
-    @property
-    def start(self) -> LagStart | None:
-        """Where its smoother began and what it runs with, None before."""
-        return self._navigator.start
-
-    def restart(self) -> None:
-        """Start anew: the logger was switched off and on."""
-        self._navigator = self._make()
-
-    def exchange(self, items: list[Item], arrival: float) -> Navigation:
-        """Process items; return the navigation."""
-        self._navigator.take(items, arrival)
-        self._navigator.work()
-        navigation = self._navigator.look()
-        return replace(navigation, is_busy=self._navigator.is_busy)
 
 
 def in_order(items: Sequence[Item]) -> list[Item]:

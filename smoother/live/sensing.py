@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array
 from smoother.calibration import Calibration
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, ImuSamples, MagSamples, RawImu, RawMag
@@ -49,15 +48,15 @@ def inertial_samples(records: LogRecords, calibration: Calibration, after: float
     return calibration.apply_to_imu(raw)
 
 
-def field_samples(records: LogRecords, calibration: Calibration, after: float) -> tuple[MagSamples, Array] | None:
-    """Return the field later than `after` s, and as read, (K, 3) uT in axes s; None without any."""
+def field_samples(records: LogRecords, calibration: Calibration, after: float) -> MagSamples | None:
+    """Return the field later than `after` s in axes s; None without any."""
     t = seconds(records.mag_t)
     good = (records.mag_flags & MAG_OVERFLOW) == 0
     good &= t > np.maximum.accumulate(np.concatenate([[after], t[:-1]])) if t.size else good
     if not np.any(good):
         return None
     field = magnetic_field(records.mag[good], records.setup or Setup())
-    return calibration.apply_to_mag(RawMag(t[good], field)), field
+    return calibration.apply_to_mag(RawMag(t[good], field))
 
 
 class FixAssembler:

@@ -51,7 +51,6 @@ def panel(frame: Frame, name: str) -> Panel:
     link_style = "" if link.is_open else "bold red"
     rows += [
         ("rates", Text(view_text.rates(frame))),
-        ("compass", Text(view_text.compass(s))),
         ("link", Text(view_text.connection(link, name), style=link_style)),
         ("lost", Text(view_text.losses(frame))),
         ("delay", Text(view_text.delay(frame))),

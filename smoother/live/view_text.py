@@ -131,14 +131,6 @@ def recording(frame: Frame) -> str:
     return f"{frame.recording.name}, {frame.recording.bytes_written / 1e6:.2f} MB" if frame.recording.name else "waits"
 
 
-def compass(s: Snapshot) -> str:
-    """Coverage of the sphere."""
-    if s.coverage == 0.0:
-        return "turn the logger in all directions to cover its sphere"
-    rms = f", {s.field_rms:.2f} uT off the ellipsoid" if math.isfinite(s.field_rms) else ""
-    return f"{s.coverage:.0%} covered{rms}"
-
-
 def smoother(s: Snapshot) -> str:
     """Stage of the smoother, and its sigmas."""
     if s.is_calibrating:

@@ -70,7 +70,6 @@ class WindowView:
         self._words = _Words(canvas, (28.0, 420.0))
         self._force = _Bars(canvas, (680.0, 22.0), "specific force, g", FORCE_RANGE)
         self._rate = _Bars(canvas, (680.0, 215.0), "angular rate, °/s", RATE_RANGE)
-        self._sphere = _Sphere(canvas, (740.0, 530.0), 72.0)
         self._root.update()
 
     def __enter__(self) -> "WindowView":
@@ -90,7 +89,6 @@ class WindowView:
         self._words.update(frame, self._name)
         self._force.update(s.force / STANDARD_GRAVITY)
         self._rate.update(s.rate / DEG)
-        self._sphere.update(s)
         self._root.update_idletasks()
         return True
 
@@ -249,45 +247,3 @@ class _Bars:
             end = self._middle + self._half * min(1.0, max(-1.0, value / self._limit))
             bar.move(np.array([[self._middle, row - 11.0], [end, row + 11.0]]))
             number.set(text=f"{value:+.2f}" if self._limit < 10.0 else f"{value:+.0f}")
-
-
-class _Sphere:
-    """Covered directions of the magnetic field: both halves of the sphere from above, in sensor axes."""
-
-    def __init__(self, canvas: tkinter.Canvas, centre: tuple[float, float], radius: float) -> None:
-        self._canvas, self._centre, self._radius = canvas, np.array(centre), radius
-        for shift, label in ((0.0, "z up"), (2.3, "z down")):
-            x, y = centre[0] + shift * radius, centre[1]
-            for share in (1.0, np.sqrt(2.0 / 3.0), np.sqrt(1.0 / 3.0)):
-                r = share * radius
-                canvas.create_oval(x - r, y - r, x + r, y + r, outline=FAINT)
-            _text(canvas, x, y + radius + 14, 12, DIM, text=label, anchor="center")
-        self._title = _text(canvas, 680.0, centre[1] - radius - 22, 14)
-        self._dots: list[int] = []
-        self._shown = np.zeros((0, 3))
-
-    def update(self, s: Snapshot) -> None:
-        self._title.set(text=f"compass: {view_text.compass(s)}")
-        if np.array_equal(s.field_points, self._shown):
-            return
-        self._shown = s.field_points
-        places = self._centre + self._radius * disc_positions(s.field_points - s.field_centre) * [1.0, -1.0]
-        while len(self._dots) < len(places):
-            self._dots.append(self._canvas.create_rectangle(0, 0, 0, 0, fill=AXES[2], outline=""))
-        for dot, (x, y) in zip(self._dots, places.tolist(), strict=False):
-            self._canvas.coords(dot, x - 1.5, y - 1.5, x + 1.5, y + 1.5)
-        for dot in self._dots[len(places) :]:
-            self._canvas.coords(dot, -9, -9, -9, -9)
-
-
-def disc_positions(vectors: Array) -> Array:
-    """Return the positions of directions of vectors (K, 3) in two discs of equal area, (K, 2): z up at 0, z down at
-    2.3."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit = vectors / np.maximum(length, 1e-12)
-    radius = np.sqrt(1.0 - np.abs(unit[:, 2]))
-    level = unit[:, :2] / np.maximum(np.linalg.norm(unit[:, :2], axis=1, keepdims=True), 1e-12)
-    # seen from above: x up the page, y to the left
-    places = np.stack([-level[:, 1], level[:, 0]], axis=1) * radius[:, None]
-    places[:, 0] += np.where(unit[:, 2] < 0.0, 2.3, 0.0)
-    return np.asarray(places)

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from live_here import Foreground, LocalNavigator
 from smoother.live.engine import Engine
-from smoother.live.identify import Foreground
-from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import Chunk
 from smoother.session.log_format import LogRecords
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bound import BoundOptions, information_bound
+from live_here import Foreground, LocalNavigator
 from smoother import api, so3
 from smoother.arrays import Array
 from smoother.estimate.factors.gaussian import columns_of
@@ -24,10 +25,8 @@ from smoother.estimate.solve import Solved
 from smoother.estimate.solvers.batch import Step, step
 from smoother.estimate.solvers.identify import FREE
 from smoother.live.engine import Engine, Snapshot
-from smoother.live.identify import Foreground
 from smoother.live.lag import FixedLag, LagOptions, LagStart, rate_without_noise
 from smoother.live.lag_graph import Marginal, WindowGraph, extrapolated, rolling
-from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from live_here import Done, Foreground
 from smoother.laps.results import Line
-from smoother.live.identify import Done, Foreground, Job, Window
+from smoother.live.identify import Job, Window
 from smoother.live.lag import LagStart
 from smoother.live.navigator import LONGEST_GAP, PIECE, WINDOW, Item, Navigator, in_order
 from smoother.prepare import prepare

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from live_here import Foreground, LocalNavigator
 from smoother.errors import UsageError
 from smoother.live.engine import Engine
 from smoother.live.frame import Frame
-from smoother.live.identify import Foreground
-from smoother.live.navigator import LocalNavigator
 from smoother.live.receiver import MOST_WAITING, READ_AHEAD, Chunk, Receiver
 from smoother.live.running import run
 from smoother.live.sources import READ_BYTES, PipeSource, ReplaySource, SerialSource, source_for

@@ -1,4 +1,4 @@
-"""What the views show, without looking at pixels: words, bars, the faces of the box, the directions of the field."""
+"""What the views show, without looking at pixels: words, bars, the faces of the box."""
 
 import io
 import os
@@ -13,7 +13,6 @@ from smoother.errors import UsageError
 from smoother.live import view_text
 from smoother.live.decoding import Losses
 from smoother.live.engine import Snapshot
-from smoother.live.field import FieldSphere
 from smoother.live.frame import Frame
 from smoother.live.lag import LagState
 from smoother.live.receiver import LinkStatus
@@ -118,19 +117,3 @@ def test_the_box_level_and_heading_north_shows_its_back_its_top_and_one_side() -
     assert {1, 4} < set(which.tolist())  # back and top, seen from behind and above
     upside_down = np.diag([1.0, -1.0, -1.0])
     assert 5 in window.box_faces(upside_down)[1]
-
-
-def test_coverage_grows_with_directions_and_noise_alone_is_none() -> None:
-    rng = np.random.default_rng(1)
-    sphere = FieldSphere()
-    centre = np.array([100.0, -40.0, 20.0])
-    sphere.feed(centre + rng.normal(0.0, 0.3, (400, 3)))
-    assert sphere.coverage == 0.0
-    directions = rng.normal(0.0, 1.0, (4000, 3))
-    for part in np.split(centre + 48.0 * directions / np.linalg.norm(directions, axis=1)[:, None], 1000):
-        sphere.feed(part)
-    assert sphere.coverage > 0.95
-    assert len(sphere.points) <= 480
-    sphere.fit()
-    assert sphere.ellipsoid is not None
-    np.testing.assert_allclose(sphere.centre, centre, atol=0.5)  # uT; readings without noise but the first
