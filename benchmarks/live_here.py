@@ -8,7 +8,7 @@ from smoother.arrays import Array
 from smoother.laps.results import GivenLines, Line
 from smoother.laps.tracks import TrackFile
 from smoother.live.identify import Job, Window, find_line, identify
-from smoother.live.lag import LagOptions, LagStart
+from smoother.live.lag import LagStart
 from smoother.live.navigator import Item, Navigation, Navigator, Worker
 
 T_co = TypeVar("T_co", covariant=True)
@@ -46,8 +46,8 @@ class LocalNavigator:
 
     is_behind = False
 
-    def __init__(self, worker: Worker, tracks: tuple[TrackFile, ...] = (), lag: LagOptions | None = None) -> None:
-        self._make = partial(Navigator, worker, tracks, lag)
+    def __init__(self, worker: Worker, tracks: tuple[TrackFile, ...] = ()) -> None:
+        self._make = partial(Navigator, worker, tracks)
         self._navigator = self._make()
 
     @property

@@ -21,7 +21,7 @@ from smoother.fit.plan_path import PlanPath
 from smoother.frames import Origin
 from smoother.laps.circuit import find_circuit
 from smoother.laps.results import GivenLines, Line
-from smoother.live.lag import LagOptions, LagStart
+from smoother.live.lag import LAG, LagStart
 from smoother.live.lag_graph import Marginal, rolling
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 
@@ -59,7 +59,7 @@ def identify(window: Window) -> LagStart | str:
     measured, with_wheels = replace(start.data, rolls=rolling(state, noise)), noise.slip is not None
     priors = held_at(problem_of(start), state, FREE).priors if with_wheels else start.priors
     graph = build_graph(start.binned, measured, noise, priors, state, start.table, rectified=False)
-    leave = int(np.searchsorted(state.t, window.imu.t[-1] - LagOptions().lag)) - 1
+    leave = int(np.searchsorted(state.t, window.imu.t[-1] - LAG)) - 1
     if leave < FEWEST:
         return "the window is too short"
     try:

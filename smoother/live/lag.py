@@ -33,21 +33,13 @@ from smoother.estimate.solvers.identify import FREE
 from smoother.live.lag_graph import Marginal, WindowGraph, extrapolated, joined_states, predicted
 from smoother.samples import ImuSamples
 
+LAG = 4.0  # s; older keyframes are marginalised
+CONTEXT = 10.0  # s of earlier keyframes, used by the low-pass of the motion
+LONGEST_STEP = 1.0  # s without a fix, after which keyframes are added
 BIN = 0.04  # s, of the inertial samples between keyframes
 SHORTEST = 0.01  # s from the newest keyframe to now
 SAMPLES_KEPT = 2.0  # s before the newest keyframe, from which the rate of the samples is computed
 FIXES_KEPT = 1.0  # s before the window; at least the newest fix is kept
-
-
-@dataclass(frozen=True)
-class LagOptions:
-    """lag s: what is older is eliminated. context s: earlier keyframes, used by the low-pass of the motion.
-    longest_step s without a fix, after which keyframes are added.
-    """
-
-    lag: float = 4.0
-    context: float = 10.0
-    longest_step: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +87,8 @@ class LagState:
 class FixedLag:
     """The window. Samples and fixes are added in the order of their times; `state` is the newest estimate."""
 
-    def __init__(self, start: LagStart, options: LagOptions | None = None) -> None:
-        self._start, self._options = start, options or LagOptions()
+    def __init__(self, start: LagStart) -> None:
+        self._start = start
         self._before, self._state, self._past = start.before, start.known.at, start.known
         self._interval, self._keyframes = start.before.interval, 0  # since the start
         self._preintegrated: list[gtsam.PreintegratedCombinedMeasurements] = []
@@ -186,12 +178,12 @@ class FixedLag:
         return np.asarray(self._fixes.t - min(self.latencies) <= self.t)
 
     def _advance(self) -> None:
-        """Add keyframes and solve, after samples reached a keyframe with a new fix before it, or after longest_step."""
+        """Add keyframes and solve, after samples reached a keyframe with a new fix before it, or after LONGEST_STEP."""
         self._now = None
         steps = int((self._newest - SHORTEST - self.t) / self._interval)
         end = self.t + steps * self._interval
         new = self._fixes.t[(self._fixes.t > self._solved) & (self._fixes.t - min(self.latencies) <= end)]
-        if (steps and len(new)) or steps * self._interval >= self._options.longest_step:
+        if (steps and len(new)) or steps * self._interval >= LONGEST_STEP:
             self._solved = float(np.max(new, initial=self._solved))
             self._extend(steps)
             self._solve()
@@ -239,7 +231,7 @@ class FixedLag:
         )
         taken = step(graph, self._state.values())
         self._state, self._taken, self._known = taken.after, taken, None
-        leave = len(intervals) - round(self._options.lag / self._interval)
+        leave = len(intervals) - round(LAG / self._interval)
         if leave > 0:
             self._marginalise(taken, leave)
 
@@ -257,7 +249,7 @@ class FixedLag:
             velocity_n=np.where(by_velocity, np.nan, fixes.velocity_n),
         ).of(fixes.t >= min(at.t[leave] - FIXES_KEPT, fixes.t[-1]))
         before = joined_states(self._before, self._state.part(slice(0, leave)))
-        self._before = before.part(slice(-round(self._options.context / self._interval), None))
+        self._before = before.part(slice(-round(CONTEXT / self._interval), None))
         self._state, self._preintegrated = self._state.part(slice(leave, None)), self._preintegrated[leave:]
 
 

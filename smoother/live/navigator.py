@@ -16,7 +16,7 @@ from smoother.frames import Origin
 from smoother.laps.results import GivenLines, Line
 from smoother.laps.tracks import TrackFile, layout_on
 from smoother.live.identify import MOVED, Job, Window
-from smoother.live.lag import FixedLag, LagOptions, LagStart, LagState, joined
+from smoother.live.lag import FixedLag, LagStart, LagState, joined
 from smoother.live.laptimes import LapClock, LapTimes
 from smoother.prepare import choose_origin
 from smoother.samples import GnssFixes, ImuSamples
@@ -70,15 +70,9 @@ class Navigation:
 class Navigator:
     """Processes the items of one run of the logger in order; `work` does slow computations."""
 
-    def __init__(
-        self,
-        worker: Worker,
-        tracks: tuple[TrackFile, ...] = (),
-        lag: LagOptions | None = None,
-        flaw: str = "",
-    ) -> None:
+    def __init__(self, worker: Worker, tracks: tuple[TrackFile, ...] = (), flaw: str = "") -> None:
         """flaw: why the previous navigator ended."""
-        self._worker, self._tracks, self._options = worker, tracks, lag
+        self._worker, self._tracks = worker, tracks
         self._imu: deque[ImuSamples] = deque()
         self._fixes: deque[GnssFixes] = deque()
         self._origin: Origin | None = None
@@ -196,7 +190,7 @@ class Navigator:
     def _start_from(self, start: LagStart) -> str:
         """Replace the smoother after the new one has processed all data; return the failure."""
         assert self._origin is not None
-        lag = FixedLag(start, self._options)
+        lag = FixedLag(start)
         held: list[Item] = [*self._imu, *self._fixes]
         for item in in_order([item for item in held if item.t[-1] > start.t]):
             if flaw := _feed(lag, item, self._origin):

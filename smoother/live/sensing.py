@@ -14,6 +14,7 @@ from smoother.session.nmea import fixes_from_sentences
 from smoother.units import DEG, STANDARD_GRAVITY
 
 EPOCH_OVER = 0.15  # s after its first sentence in which all sentences of a fix have come
+RATE_OVER = 2.0  # s
 MOST_PENDING = 64  # sentences; more than any receiver sends in a second
 
 
@@ -134,21 +135,20 @@ def _time_of(text: bytes) -> bytes:
 
 
 class RateMeter:
-    """Rate per second over the last `span` s of the sensor's clock."""
+    """Rate per second over the last RATE_OVER seconds of the sensor's clock."""
 
-    def __init__(self, span: float = 2.0) -> None:
-        self._span = span
+    def __init__(self) -> None:
         self._marks: list[tuple[float, int]] = []
 
     def add(self, t: float, count: int) -> None:
         """Count `count` more until t s."""
         self._marks.append((t, count))
-        while len(self._marks) > 2 and self._marks[0][0] < t - self._span:
+        while len(self._marks) > 2 and self._marks[0][0] < t - RATE_OVER:
             self._marks.pop(0)
 
     def rate(self, now: float) -> float:
-        """Return the rate at `now` s, 0 without data in the span."""
-        if len(self._marks) < 2 or now - self._marks[-1][0] > self._span:
+        """Return the rate at `now` s, 0 without data in RATE_OVER."""
+        if len(self._marks) < 2 or now - self._marks[-1][0] > RATE_OVER:
             return 0.0
-        length = max(self._marks[-1][0], now - 0.25 * self._span) - self._marks[0][0]
+        length = max(self._marks[-1][0], now - 0.25 * RATE_OVER) - self._marks[0][0]
         return sum(count for _, count in self._marks[1:]) / length if length > 0.0 else 0.0

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from smoother.frames import euler_from_rotation
+from smoother.laps.clock import lap_clock
 from smoother.live.engine import SILENT, Snapshot
 from smoother.live.frame import Frame
 from smoother.live.receiver import LinkStatus
@@ -46,19 +47,12 @@ def speed(s: Snapshot) -> str:
     return f"{s.speed / KMH:.1f} km/h" if math.isfinite(s.speed) else "- km/h"
 
 
-def lap_time(seconds: float) -> str:
-    """Minutes and seconds."""
-    if not math.isfinite(seconds):
-        return "-"
-    minutes, rest = divmod(seconds, 60.0)
-    return f"{int(minutes)}:{rest:05.2f}" if minutes else f"{rest:.2f}"
-
-
 def laps(s: Snapshot) -> str:
     """Running lap, last and best."""
     if not s.laps.has_line:
         return "line not found yet"
-    return f"lap {s.laps.lap}  {lap_time(s.laps.running)}   last {lap_time(s.laps.last)}   best {lap_time(s.laps.best)}"
+    running, last, best = (lap_clock(time, 2) for time in (s.laps.running, s.laps.last, s.laps.best))
+    return f"lap {s.laps.lap}  {running}   last {last}   best {best}"
 
 
 def is_stale(frame: Frame) -> bool:

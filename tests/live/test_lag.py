@@ -25,7 +25,7 @@ from smoother.estimate.solve import Solved
 from smoother.estimate.solvers.batch import Step, step
 from smoother.estimate.solvers.identify import FREE
 from smoother.live.engine import Engine, Snapshot
-from smoother.live.lag import FixedLag, LagOptions, LagStart, rate_without_noise
+from smoother.live.lag import CONTEXT, LAG, FixedLag, LagStart, rate_without_noise
 from smoother.live.lag_graph import Marginal, WindowGraph, extrapolated, rolling
 from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
@@ -387,10 +387,9 @@ def test_what_is_older_than_the_lag_is_forgotten(navigating: LocalNavigator, sna
     assert snapshots[-1].lag is not None
     lag = navigating._navigator._lag
     assert lag is not None and lag.fixes_used > 25
-    options = LagOptions()
-    assert np.ptp(lag._state.t) == pytest.approx(options.lag) and np.ptp(lag._before.t) < options.context
+    assert np.ptp(lag._state.t) == pytest.approx(LAG) and np.ptp(lag._before.t) < CONTEXT
     assert len(lag._preintegrated) == len(lag._state.t) - 1
-    assert len(lag._fixes.t) < 5 * (options.lag + 3.0)
+    assert len(lag._fixes.t) < 5 * (LAG + 3.0)
     assert lag.newest - lag._imu[0].t[0] < 4.0
 
 
