@@ -19,8 +19,6 @@ LOST_BEYOND = 15.0  # m from the line: half a track's width, the wander of the G
 FOUND_WITHIN = 12.0  # m
 AHEAD = (10.0, 20.0, 35.0)  # m of path that must also be on the line before the kart counts as found
 BACK, ON = 6.0, 10.0  # m that are searched behind and, beyond the driven distance, ahead
-TOGETHER = 40  # points that are matched together: 6 s
-ASTRAY = 8.0  # m by which track distance and driven distance may differ over these
 ROWS_TOGETHER = 1 << 16  # of the path that are projected onto the line together
 SAME_DIRECTION = 0.4  # least cosine between path and line where the kart moves
 MOVING = 2.0  # m/s
@@ -71,20 +69,6 @@ def _rows(path: PlanPath) -> IntArray:
     return np.unique(np.clip(np.searchsorted(path.t, wanted), 0, len(path.t) - 1)).astype(np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class _Ahead:
-    """The points of the line nearest to the next points of the path, within `low` to `high` steps of the line.
-
-    All (K,): step, the nearest; is_near, whether it is near enough; is_along, whether the directions agree.
-    """
-
-    low: list[int]
-    high: list[int]
-    step: list[int]
-    is_near: list[bool]
-    is_along: list[bool]
-
-
 class _Pursuit:
     """Follows the path along the line, point by point."""
 
@@ -92,7 +76,6 @@ class _Pursuit:
         self.path, self.curve, self.rows = path, curve, rows
         self.points, self.tangents = curve.line.position_n, curve.line.tangent_n
         self.spacing = curve.length / len(self.points)
-        self.ahead, self.ahead_from = _Ahead([], [], [], [], []), 0
 
     def run(self) -> Array:
         """Unwrapped distance (K,) at the rows, NaN where the kart is not on the line."""
@@ -104,7 +87,7 @@ class _Pursuit:
         for k, row in enumerate(rows):
             here: float | None = None
             if is_on:
-                here, is_along = self._next(k, last, driven[k] - on_the_way)
+                here, is_along = self._next(row, last, driven[k] - on_the_way)
                 if here is not None and speed[k] >= MOVING:
                     turned = 0.0 if is_along else turned + t[k] - t[k - 1]
                 if turned > TURNED_FOR:
@@ -117,44 +100,14 @@ class _Pursuit:
                 found[k], last, on_the_way = here, here, driven[k]
         return found
 
-    def _next(self, k: int, last: float, driven: float) -> tuple[float | None, bool]:
-        """Distance of point k, `driven` m after a point at `last` m, None where it left the line; whether directions
-        agree.
-
-        Most points are found by the joint search, with the same result as one by one.
-        """
-        low, high = int((last - BACK) / self.spacing), int((last + driven + ON) / self.spacing) + 1
-        i = k - self.ahead_from
-        if not 0 <= i < len(self.ahead.step) or self.ahead.low[i] > low or self.ahead.high[i] < high:
-            self.ahead, self.ahead_from, i = self._look_ahead(k, last + driven), k, 0
-        step = self.ahead.step[i]
-        if self.ahead.low[i] <= low <= step <= high <= self.ahead.high[i]:
-            return (step * self.spacing if self.ahead.is_near[i] else None), self.ahead.is_along[i]
-        return self._between(int(self.rows[k]), low, high)
-
-    def _between(self, row: int, low: int, high: int) -> tuple[float | None, bool]:
-        """The same for one row, searched between two steps of the line."""
-        steps = np.arange(low, high + 1)
-        away = self.points[self._index(steps)] - self.path.position_n[row]
+    def _next(self, row: int, last: float, driven: float) -> tuple[float | None, bool]:
+        """Distance of a row, `driven` m after one at `last` m, None where it left the line; whether directions agree."""
+        steps = np.arange(int((last - BACK) / self.spacing), int((last + driven + ON) / self.spacing) + 2)
+        away = self.points.take(self._index(steps), axis=0) - self.path.position_n[row]
         squared = np.einsum("ij,ij->i", away, away)
         best = int(np.argmin(squared))
         is_near = bool(squared[best] < LOST_BEYOND**2)
         return (float(steps[best] * self.spacing) if is_near else None), self._along(row, int(steps[best])) > 0.0
-
-    def _look_ahead(self, k: int, expected: float) -> _Ahead:
-        """Match the points from k on, the first of which is expected at a distance, to the line."""
-        rows = self.rows[k : k + TOGETHER]
-        driven = expected + self.path.driven[rows] - self.path.driven[rows[0]]
-        low = np.floor((driven - BACK - ASTRAY) / self.spacing).astype(np.int64)
-        steps = low[:, None] + np.arange(int((BACK + ON + 2.0 * ASTRAY) / self.spacing) + 3)
-        x, y = (self.points[:, i].take(self._index(steps)) - self.path.position_n[rows, i, None] for i in (0, 1))
-        squared = x * x + y * y
-        best = np.argmin(squared, axis=1)
-        step = np.take_along_axis(steps, best[:, None], axis=1)[:, 0]
-        along = np.sum(self.path.velocity_n[rows] * self.tangents[self._index(step)], axis=1)
-        is_near = squared.min(axis=1) < LOST_BEYOND**2
-        ends = steps[:, 0].tolist(), steps[:, -1].tolist()
-        return _Ahead(*ends, step.tolist(), is_near.tolist(), (along > 0.0).tolist())
 
     def _along(self, row: int, index: int) -> float:
         """Cosine between path and line."""
