@@ -101,7 +101,7 @@ class _Pursuit:
         return found
 
     def _next(self, row: int, last: float, driven: float) -> tuple[float | None, bool]:
-        """Distance of a row, `driven` m after one at `last` m, None where it left the line; whether directions agree."""
+        """Distance of a row, `driven` m after one at `last` m, None where it left the line; whether it goes along."""
         steps = np.arange(int((last - BACK) / self.spacing), int((last + driven + ON) / self.spacing) + 2)
         away = self.points.take(self._index(steps), axis=0) - self.path.position_n[row]
         squared = np.einsum("ij,ij->i", away, away)
