@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO
 
 from smoother import threads
-from smoother.batch import record, stamps
+from smoother.batch import record
 from smoother.batch.outcome import Cost, Outcome, State, facts_of_results, facts_of_settings, one_line
 from smoother.batch.task import ERROR_LOG, Limits, Task
 from smoother.documents import STAGING
@@ -55,7 +55,7 @@ def attempt(task: Task, stop: threading.Event | None = None, command: Sequence[s
     Raises Stopped soon after `stop` is set.
     """
     stop = stop or threading.Event()
-    inputs = stamps.stamps(task.inputs, task.folder)
+    inputs = record.digests(task.inputs, task.folder)
     try:
         ended = _until_it_ends_itself(task, stop, command)
     except OSError as error:

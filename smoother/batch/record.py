@@ -1,19 +1,21 @@
 """batch.json beside the results of a session: from what they were made, so that they need not be made again."""
 
+import hashlib
 import json
+import os
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 import smoother
-from smoother.batch import outcome, stamps
+from smoother.batch import outcome
 from smoother.batch.outcome import Outcome
-from smoother.batch.stamps import Stamp
 from smoother.batch.task import REPORT, SUMMARY, TRAJECTORY, Task, is_there
 from smoother.documents import load_json, replacing
 from smoother.errors import SmootherError
 
 FILE_NAME = "batch.json"
-FORM = 1
+FORM = 2
 
 
 def finished(task: Task) -> Outcome | None:
@@ -25,25 +27,37 @@ def finished(task: Task) -> Outcome | None:
     try:
         document = load_json(task.out / FILE_NAME)
         made_by = (document["form"], document["version"], tuple(document["arguments"]))
-        known, results = stamps.from_plain(document["inputs"]), stamps.from_plain(document["results"])
+        known, results = document["inputs"], document["results"]
         said = outcome.from_plain(document["outcome"])
     except (SmootherError, KeyError, TypeError, ValueError):
         return None
     if made_by != (FORM, smoother.__version__, task.arguments) or not said.has_results:
         return None
-    if not stamps.are_unchanged(known, task.inputs, task.folder):
+    if known != digests(task.inputs, task.folder) or results != digests(_sealed(task.out), task.out):
         return None
-    return said if stamps.are_unchanged(results, _sealed(task.out), task.out) and _are_whole(task) else None
+    return said if _are_whole(task) else None
 
 
-def keep(task: Task, inputs: dict[str, Stamp], said: Outcome) -> None:
-    """Write the record of a session; `inputs` as stamped before it was read. Raises OSError."""
+def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of files by their names as seen from `folder`; a file that cannot be read has none."""
+    found = {}
+    for path in paths:
+        try:
+            with path.open("rb") as file:
+                found[os.path.relpath(path, folder)] = hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError:
+            continue
+    return found
+
+
+def keep(task: Task, inputs: dict[str, str], said: Outcome) -> None:
+    """Write the record of a session; `inputs` are the digests of its files before it was read. Raises OSError."""
     document = {
         "form": FORM,
         "version": smoother.__version__,
         "arguments": task.arguments,
-        "inputs": stamps.to_plain(inputs),
-        "results": stamps.to_plain(stamps.stamps(_sealed(task.out), task.out)),
+        "inputs": inputs,
+        "results": digests(_sealed(task.out), task.out),
         "outcome": asdict(said),
     }
     with replacing(task.out / FILE_NAME) as temporary:
