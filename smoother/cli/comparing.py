@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
-from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, print_columns
+from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS
 from smoother.cli.lapping import documents_of, line_option, stated_for, units_option
-from smoother.cli.output import number, open_page, plain, print_json, print_line, progress_on_terminal, warn
+from smoother.cli.output import (
+    number,
+    open_page,
+    plain,
+    print_json,
+    print_line,
+    print_table,
+    progress_on_terminal,
+    warn,
+)
 from smoother.cli.overwriting import require_no_recording
 from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
@@ -199,13 +208,13 @@ def show(compared: list[Compared], units: str) -> None:
             warn(f"{one.name}: {one.why_not}")
     starts = [start for one in compared if (start := one.start) is not None]
     zone = f", times of day in {local_zone(starts)}" if starts else ""
-    print_columns(f"best laps{zone}", *_best_table(compared, units))
+    print_table(f"best laps{zone}", *_best_table(compared, units), left=-1)
     for source in _sources(compared):
         print_line(source)
     print_line("")
-    print_columns(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared))
+    print_table(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared), left=-1)
     print_line("")
-    print_columns(f"slowest in the corner, {units}", *_speed_table(compared, units))
+    print_table(f"slowest in the corner, {units}", *_speed_table(compared, units), left=-1)
 
 
 def _sources(compared: list[Compared]) -> list[str]:

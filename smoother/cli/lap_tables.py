@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from smoother.cli.output import number, print_line, print_pairs
+from smoother.cli.output import number, print_line, print_pairs, print_table
 from smoother.laps.clock import chance_text, lap_clock, local_time, local_zone, spread_text
 from smoother.units import KMH, MPH
 from smoother.words import SLOWER_WHERE, counted, loss_digits
@@ -35,19 +35,10 @@ def show_laps(
     if laps:
         if clock is not None:
             title += f", times of day in {local_zone(clock.at(lap['start_s']) for lap in laps)}"
-        print_columns(title, *lap_table(laps, analysis, clock, units))
+        print_table(title, *lap_table(laps, analysis, clock, units), left=-1)
     odd = [("laps" if i == 0 else "", f"{p['text']} [{p['code']}]") for i, p in enumerate(analysis["problems"])]
     if pairs := [*figures(analysis), *_sectors(laps), *odd]:
         print_pairs("", pairs)
-
-
-def print_columns(title: str, header: list[str], rows: list[list[str]]) -> None:
-    """Print a table whose numbers are never cut, however narrow the terminal: first and last column to the left."""
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    print_line(title)
-    for row in (header, *rows):
-        cells = [cell.rjust(width) for cell, width in zip(row[:-1], widths[:-1], strict=True)]
-        print_line("  ".join([*cells, row[-1]]).rstrip())
 
 
 def lap_table(
@@ -219,9 +210,11 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
         rows.append(["usual", *usual, "median of the other laps that count"])
     factor = SPEED_UNITS[units]
     print_line("")
-    print_columns(f"lost in each corner against {_against(analysis)}, s (* real, else may be chance)", header, rows)
+    print_table(
+        f"lost in each corner against {_against(analysis)}, s (* real, else may be chance)", header, rows, left=-1
+    )
     slowest = [["-" if (v := _slowest(c, analysis)) is None else number(v / factor, 1) for c in corners]]
-    print_columns(f"slowest in the corner on the best lap, {units}", [*header[1:-1], ""], [[*slowest[0], ""]])
+    print_table(f"slowest in the corner on the best lap, {units}", [*header[1:-1], ""], [[*slowest[0], ""]], left=-1)
 
 
 def show_losses(analysis: dict[str, Any], units: str) -> None:

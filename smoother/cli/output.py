@@ -1,7 +1,6 @@
 """Output of the command line: results on stdout, progress and warnings on stderr, without control characters.
 
-Tables with several columns and progress are drawn by rich, which is imported when it is needed, as it is slow to start.
-Lines and pairs, which every command prints, do not use it.
+Progress is drawn by rich, which is imported when it is needed, as it is slow to start.
 """
 
 from __future__ import annotations
@@ -15,12 +14,9 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 import click
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its finished share (0..1)."""
@@ -94,33 +90,20 @@ def _styled(text: str, **style: bool) -> str:
     return click.style(text, **style) if text.strip() and os.environ.get("TERM") not in ("dumb", "unknown") else text
 
 
-def print_table(title: str, header: list[str], rows: list[list[str]]) -> None:
-    """Print a table: the first column to the left, the others to the right."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(plain(title), style="bold"), title_justify="left", box=None, pad_edge=False)
-    for i, name in enumerate(header):
-        table.add_column(Text(name), justify="left" if i == 0 else "right")
-    for row in rows:
-        table.add_row(*(Text(plain(cell)) for cell in row))
-    _console().print(table)
+def print_table(title: str, header: list[str], rows: list[list[str]], left: int = 0) -> None:
+    """Print a table whose cells are never cut, however narrow the terminal: column `left` to the left, others right."""
+    lines = [[plain(cell) for cell in row] for row in (header, *rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    click.echo(_styled(plain(title), bold=True))
+    for cells in lines:
+        padded = [cell.rjust(width) for cell, width in zip(cells, widths, strict=True)]
+        padded[left] = cells[left].ljust(widths[left])
+        click.echo("  ".join(padded).rstrip())
 
 
 def discard_output(stream: TextIO) -> None:
     """Discard all further output to a stream whose reader has gone (`smooth .. | head`)."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _console() -> Console:
-    """A console that raises BrokenPipeError for a closed pipe, which `main` handles."""
-    from rich.console import Console
-
-    class PipeConsole(Console):
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-    return PipeConsole(highlight=False)
 
 
 @contextlib.contextmanager
