@@ -60,29 +60,9 @@ ALWAYS = ("accel_left_mps2", "accel_forward_mps2", "yaw_rate_dps", "distance_m")
 
 
 LOGGED_UNITS = {  # of channels of the logger, by the end of their columns
-    **{"c": "C", "f": "F", "k": "K", "pct": "%", "kmh": "km/h", "mps": "m/s", "mph": "mph", "rpm": "rpm", "bar": "bar"},
-    **{
-        "mbar": "mbar",
-        "kpa": "kPa",
-        "hpa": "hPa",
-        "psi": "psi",
-        "v": "V",
-        "mv": "mV",
-        "a": "A",
-        "w": "W",
-        "bpm": "bpm",
-    },
-    **{
-        "bpm": "bpm",
-        "deg": "deg",
-        "dps": "deg/s",
-        "g": "g",
-        "mps2": "m/s2",
-        "m": "m",
-        "mm": "mm",
-        "s": "s",
-        "nm": "Nm",
-    },
+    **{unit: unit for unit in ("mph", "rpm", "bar", "mbar", "psi", "bpm", "deg", "g", "m", "mm", "s")},
+    **{"c": "C", "f": "F", "k": "K", "pct": "%", "kmh": "km/h", "mps": "m/s", "dps": "deg/s", "mps2": "m/s2"},
+    **{"kpa": "kPa", "hpa": "hPa", "v": "V", "mv": "mV", "a": "A", "w": "W", "nm": "Nm"},
 }
 STANDARD: dict[str, dict[str, str]] = {  # channel of the logger: what programs call it
     "rpm": {"motec": "Engine RPM", "aim": "RPM", "racechrono": "rpm"},

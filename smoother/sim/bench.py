@@ -17,8 +17,10 @@ from smoother.arrays import Array
 from smoother.samples import RawImu, RawMag
 from smoother.sim.record import imu_table, mag_table, write_table
 from smoother.sim.scenario import ImuErrors, MagErrors
+from smoother.sim.sensors import converted, mag_reading
 from smoother.units import STANDARD_GRAVITY
 
+OUTLIER_SIZE = 100.0  # uT
 WARM_UP = 300.0  # s, time constant of a box that heats itself
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])[[2, 0, 1, 5, 3, 4]]  # first as it stands on a bench
 _EDGES = np.array(
@@ -48,13 +50,12 @@ class BenchPlan:
 
 @dataclass(frozen=True, eq=False)
 class BenchErrors:
-    """Errors that a session's scenario has no figure for: gyro_slope (3,) rad/s/K; mag outliers: share and size (uT);
+    """Errors that a session's scenario has no figure for: gyro_slope (3,) rad/s/K; mag_outliers: their share;
     mag_delay s, by which the magnetometer's stamps are late.
     """
 
     gyro_slope: Array
     mag_outliers: float = 0.0
-    outlier_size: float = 100.0
     mag_delay: float = 0.0
 
 
@@ -120,8 +121,8 @@ def simulate_bench(
     rate = so3.log(path.at(t - step).transpose(0, 2, 1) @ path.at(t)) / step @ imu.gyro_matrix.T + bias
     force = force + imu.accel_noise * np.sqrt(imu.rate) * imu_rng.standard_normal(force.shape)
     rate = rate + imu.gyro_noise * np.sqrt(imu.rate) * imu_rng.standard_normal(rate.shape)
-    accel_counts, accel_scale = _counts(force, imu.accel_range, imu.bits)
-    gyro_counts, gyro_scale = _counts(rate, imu.gyro_range, imu.bits)
+    accel_counts, accel_scale = converted(force, imu.accel_range, imu.bits)
+    gyro_counts, gyro_scale = converted(rate, imu.gyro_range, imu.bits)
     raw = RawImu(
         t, accel_counts, gyro_counts, accel_scale, gyro_scale, imu.accel_range, imu.gyro_range, np.round(temperature, 2)
     )
@@ -217,17 +218,7 @@ def _field(path: _Path, mag: MagErrors, field_n: Array, errors: BenchErrors, rng
     t = np.arange(1, int(path.end * mag.rate) + 1) / mag.rate
     strength = float(np.linalg.norm(field_n))
     field = path.at(t - errors.mag_delay).transpose(0, 2, 1) @ field_n
-    reading = field @ mag.soft_iron.T + mag.hard_iron_s + mag.noise * strength * rng.standard_normal(field.shape)
+    reading = mag_reading(field, mag, strength, rng)
     bad = rng.random(len(t)) < errors.mag_outliers
-    reading[bad] += errors.outlier_size * rng.standard_normal((int(bad.sum()), 3))
-    if mag.resolution is not None:
-        reading = np.round(reading / mag.resolution) * mag.resolution
+    reading[bad] += OUTLIER_SIZE * rng.standard_normal((int(bad.sum()), 3))
     return RawMag(t, reading)
-
-
-def _counts(values: Array, full_scale: float | None, bits: int | None) -> tuple[Array, float]:
-    if full_scale is None or bits is None:
-        return values, 1.0
-    half = 2.0 ** (bits - 1)
-    scale = full_scale / half
-    return np.clip(np.round(values / scale), -half, half - 1.0), scale

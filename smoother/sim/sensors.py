@@ -94,8 +94,8 @@ def simulate_imu(
     gyro = gyro_s @ errors.gyro_matrix.T + gyro_bias + vibration[:, 3:] + errors.gyro_noise * noise[:, 3:]
     kept = ~_inside(time, errors.gaps)
     stamps = _stamps(truth.clock.to_session(time), errors.jitter, clock_rng)[kept]
-    accel_counts, accel_scale = _convert(accel[kept], errors.accel_range, errors.bits)
-    gyro_counts, gyro_scale = _convert(gyro[kept], errors.gyro_range, errors.bits)
+    accel_counts, accel_scale = converted(accel[kept], errors.accel_range, errors.bits)
+    gyro_counts, gyro_scale = converted(gyro[kept], errors.gyro_range, errors.bits)
     raw = RawImu(stamps, accel_counts, gyro_counts, accel_scale, gyro_scale, errors.accel_range, errors.gyro_range)
     return SimulatedImu(raw, time[kept], accel_bias[kept], gyro_bias[kept])
 
@@ -171,8 +171,8 @@ def _in_ticks(time: Array) -> Array:
     return np.asarray(ticks / TICKS_PER_SECOND)  # the nearest float64 to the decimal, as a file gives it back
 
 
-def _convert(values: Array, full_scale: float | None, bits: int | None) -> tuple[Array, float]:
-    """Clip and round as the converter does. Returns counts (N, 3) and the scale of one count."""
+def converted(values: Array, full_scale: float | None, bits: int | None) -> tuple[Array, float]:
+    """Return counts (N, 3) of values (N, 3), clipped and rounded as by the converter, and the scale of one count."""
     if full_scale is None:
         return values, 1.0
     if bits is None:
@@ -292,7 +292,7 @@ def simulate_mag(
     load = truth.running(session_time) * truth.throttle(session_time) * truth.engine_rpm(session_time)
     load = load / max(float(np.max(load)), 1e-9)
     engine = errors.engine_disturbance * strength * load[:, None] * errors.engine_direction_s
-    return RawMag(_in_ticks(session_time), _mag_reading(field_s + engine, errors, strength, rng))
+    return RawMag(_in_ticks(session_time), mag_reading(field_s + engine, errors, strength, rng))
 
 
 def simulate_wheel_speed(truth: Truth, errors: WheelErrors, duration: float, rng: np.random.Generator) -> WheelSpeed:
@@ -315,10 +315,11 @@ def simulate_mag_calibration(errors: MagErrors, field_n: Array, rng: np.random.G
     direction = rng.standard_normal((errors.calibration_points, 3))
     strength = float(np.linalg.norm(field_n))
     field_s = strength * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    return _mag_reading(field_s, errors, strength, rng)
+    return mag_reading(field_s, errors, strength, rng)
 
 
-def _mag_reading(field_s: Array, errors: MagErrors, strength: float, rng: np.random.Generator) -> Array:
+def mag_reading(field_s: Array, errors: MagErrors, strength: float, rng: np.random.Generator) -> Array:
+    """Return readings (N, 3) uT of a field (N, 3) uT in axes s; strength uT is that of the field of the Earth."""
     noise = errors.noise * strength * rng.standard_normal(field_s.shape)
     reading = field_s @ errors.soft_iron.T + errors.hard_iron_s + noise
     if errors.resolution is None:
