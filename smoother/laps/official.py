@@ -6,7 +6,7 @@ from pathlib import Path
 
 from smoother.documents import LARGEST, read_bounded
 from smoother.errors import SessionError
-from smoother.session.table_bytes import in_utf8
+from smoother.session.text import in_utf8
 from smoother.words import UNREADABLE
 
 NAMES = ("lap_time_s", "lap_time", "laptime", "time", "time_s")

@@ -11,7 +11,7 @@ from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Channel, Problem, RawMag, WheelSpeed
 from smoother.session.checks.table import Check, Finding, OneStream, dropped, run
-from smoother.session.csv_form import problems_of_table, require_clock
+from smoother.session.csv_form import require_clock
 from smoother.session.readers.channels import channel_of, distinct
 from smoother.session.rows import in_time_order
 from smoother.session.tables import read_header, read_table
@@ -71,7 +71,7 @@ def _read(
     path: Path, names: Sequence[str], prefix: str, clock: SessionClock, checks: Sequence[Check[OneStream]]
 ) -> tuple["_Rows", list[Problem]]:
     """Rows of a table that pass its checks, in order of time on the session's clock, and what is to be said of it."""
-    table = read_table(path, ("t_s", *names))
+    table = read_table(path, ("t_s", *names), prefix=prefix)
     values, t = table.stack(*names), table.column("t_s")
     require_clock(path, t)
     unit = _unless_seconds(t, clock.imu_unit if clock.has_imu else unit_by_rate(t), clock.fixes_t)
@@ -83,7 +83,7 @@ def _read(
         raise SessionError(
             f"{path.name}: its clock started again, and its rows cannot be assigned to samples; split it there"
         )
-    problems = [*problems_of_table(table, prefix), *said, *of_rows, *ordered.problems]
+    problems = [*table.problems, *said, *of_rows, *ordered.problems]
     return _Rows(ordered.t, rows.values[ordered.index]), problems
 
 

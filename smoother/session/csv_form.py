@@ -9,10 +9,11 @@ from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu
 from smoother.session.degrees import require_degrees
-from smoother.session.fix_columns import FixColumns
+from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.tables import NOTHING, Table, head_lines, names_of, read_table
+from smoother.session.readers.cells import NOTHING
+from smoother.session.tables import Table, cells_of, head_lines, read_table
 from smoother.session.time_unit import in_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
 
@@ -21,11 +22,12 @@ GYRO_COLUMNS = ("gx", "gy", "gz")
 EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
 UTC_COLUMNS = ("unix_s", "utc_ms")  # beside utc, which is text
-OPTIONAL_FIX_COLUMNS = (
-    *("alt_m", "speed_mps", "course_deg", "vel_n_mps", "vel_e_mps", "vel_u_mps"),
-    *("hacc_m", "hacc_n_m", "hacc_e_m", "vacc_m", "sacc_mps", "sacc_n_mps", "sacc_e_mps"),
-    *("hdop", "num_sv", "fix", *UTC_COLUMNS),
-)
+COLUMN_OF = {  # columns of fixes and how the contract calls them
+    **{"alt_m": "alt_m", "speed": "speed_mps", "course_deg": "course_deg", "sigma_up": "vacc_m"},
+    **{"velocity_north": "vel_n_mps", "velocity_east": "vel_e_mps", "velocity_up": "vel_u_mps"},
+    **{"hdop": "hdop", "num_sv": "num_sv", "fix": "fix"},
+}
+OF_AXES = ("hacc_m", "hacc_n_m", "hacc_e_m", "sacc_mps", "sacc_n_mps", "sacc_e_mps")
 
 
 def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
@@ -36,9 +38,9 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
 
 def read_imu_and_unit(path: Path, *, is_slow: bool = False) -> tuple[RawImu, list[Problem], str | None]:
     """The same, and the unit that its times are in where it is not seconds; if `is_slow`, they are."""
-    table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
+    table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS), prefix="imu")
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
-    problems = list(problems_of_table(table, "imu"))
+    problems = list(table.problems)
     _require_numbers(path, "t_s", t)
     require_clock(path, t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
@@ -53,43 +55,32 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
 
     imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds.
     """
-    table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
+    table = read_table(path, FIX_COLUMNS, (*COLUMN_OF.values(), *OF_AXES, *UTC_COLUMNS), iso_times=("utc",))
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     for name in FIX_COLUMNS:
         _require_numbers(path, name, table.column(name))
     require_clock(path, t)
     t, said = in_seconds(t, unit_of_fixes(t, unix_s, imu_unit), "gps", path.name)
-    sigma = _per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m"))
-    columns = FixColumns(
-        t=t,
-        lat_deg=table.column("lat_deg"),
-        lon_deg=table.column("lon_deg"),
-        alt_m=table.column("alt_m"),
-        speed=table.column("speed_mps"),
-        course_deg=table.column("course_deg"),
-        velocity_north=table.column("vel_n_mps"),
-        velocity_east=table.column("vel_e_mps"),
-        velocity_up=table.column("vel_u_mps"),
-        sigma_horizontal=sigma,
-        sigma_up=table.column("vacc_m"),
+    columns = fix_columns(
+        t,
+        table.column("lat_deg"),
+        table.column("lon_deg"),
+        **{quantity: table.column(name) for quantity, name in COLUMN_OF.items()},
+        sigma_horizontal=_per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m")),
         sigma_velocity=_per_axis(table, "sacc_mps", ("sacc_n_mps", "sacc_e_mps")),
-        hdop=table.column("hdop"),
-        num_sv=table.column("num_sv"),
-        fix=table.column("fix"),
         unix_s=unix_s,
-        is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
     of_columns = [*said, *said_of_utc]
-    return fixes, [*problems_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
+    return fixes, [*table.problems, *of_columns, *problems, *_unread_cells(table)]
 
 
 def _require_numbers(path: Path, column: str, values: Array) -> None:
     """Raise SessionError with the first cell of a column (N,) in which none is a number: a time of day, or 52.1N."""
     if np.isfinite(values[:1]).any() or np.isfinite(values).any():
         return
-    names, *rows = (names_of(line) for line in head_lines(path, 2))
+    names, *rows = (cells_of(line) for line in head_lines(path, 2))
     place = [name.lower() for name in names].index(column)
     cell = rows[0][place] if rows and len(rows[0]) > place else ""
     if cell and not NOTHING.match(cell):
@@ -110,17 +101,11 @@ def require_clock(path: Path, t: Array) -> None:
         )
 
 
-def problems_of_table(table: Table, prefix: str) -> Iterator[Problem]:
-    """What to say of the table as a whole: a last row that was cut."""
-    if table.cut:
-        yield Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")
-
-
 def _unread_cells(table: Table) -> Iterator[Problem]:
     """What to say of columns that were written in a way that is not understood: a unit in each cell, or words."""
     for name, count in table.unread.items():
         is_time = name == "utc"
-        what = "ISO 8601 time (2026-05-16T10:00:00.2Z)" if is_time else "number"
+        what = "ISO 8601 time since 1990 (2026-05-16T10:00:00.2Z)" if is_time else "number"
         text = f"{table.file}: {name} of {counted(count, 'row')} is no {what}; not used"
         if count:
             yield Problem("gps_utc_unread" if is_time else "gps_unread", text, count)

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 from smoother.errors import SessionError
-from smoother.session.readers.layout import Layout, about_table, has_times_only, holds_places, layout_of
-from smoother.session.table_bytes import in_utf8
+from smoother.session.readers.layout import Layout, about_table, has_times_only, holds_places, layout_in
 from smoother.session.tables import read_header
+from smoother.session.text import in_utf8
 
 Foreign = Literal["xrk", "vbo", "gopro", "track", "ubx", "table", "fit"]
 Role = Literal["log", "out", "fixes", "imu", "sentences", "archive"] | Foreign
@@ -311,14 +311,7 @@ def foreign_kind(path: Path) -> Foreign | None:
 
 def table_layout(path: Path) -> Layout | None:
     """The layout of a file that is a table of motion by its first lines; None of any other."""
-    if not path.name.lower().endswith(TABLE_SUFFIXES):
-        return None
-    try:
-        with path.open("rb") as file:
-            head = in_utf8(file.read(TABLE_BYTES)).decode("utf-8", errors="replace").lstrip("\ufeff \r\n")
-    except OSError:
-        return None  # whoever needs the file will say so
-    return layout_of(head, path.stem)
+    return layout_in(path) if path.name.lower().endswith(TABLE_SUFFIXES) else None
 
 
 def _is_of_camera(path: Path) -> bool:

@@ -15,7 +15,6 @@ class FixColumns:
     """Raw columns of N rows, each (N,), NaN where unknown. Units as in GnssFixes; velocities in m/s.
 
     fix : quality, 0 or less is no fix.
-    is_blank : the row has a time but no position at all.
     """
 
     t: Array
@@ -34,7 +33,11 @@ class FixColumns:
     num_sv: Array
     fix: Array
     unix_s: Array
-    is_blank: BoolArray
+
+    @property
+    def is_blank(self) -> BoolArray:
+        """Mask (N,) of the rows without any position."""
+        return np.asarray(~np.isfinite(self.lat_deg) & ~np.isfinite(self.lon_deg))
 
     def take(self, index: IntArray) -> "FixColumns":
         """Return the rows at `index`."""
@@ -54,8 +57,7 @@ def fix_columns(t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> Fix
     """Columns (N,) of fixes of which the others than `known`, by their names, are unknown."""
     unknown = np.full(t.size, np.nan)
     columns = {column.name: unknown for column in fields(FixColumns)}
-    columns |= {"t": t, "lat_deg": lat_deg, "lon_deg": lon_deg, **known}
-    return FixColumns(**{**columns, "is_blank": ~np.isfinite(lat_deg) & ~np.isfinite(lon_deg)})
+    return FixColumns(**{**columns, "t": t, "lat_deg": lat_deg, "lon_deg": lon_deg, **known})
 
 
 def metres(c: FixColumns) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from smoother.samples import GnssFixes, Problem
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
-from smoother.session.table_bytes import in_utf8
+from smoother.session.text import in_utf8
 from smoother.session.time_unit import in_seconds, unit_by_utc
 from smoother.session.velned import Velocities
 from smoother.units import DAY, KMH, KNOT
@@ -321,18 +321,8 @@ def _merge(
     since_first = np.asarray((epochs - (epochs[0] if is_other_day else ticks[0])) * _TIME_QUANTUM, dtype=np.float64)
     t, has_receive_times = _row_times(received, since_first)
     unix = seconds + _midnight(values["day"], seconds)
-    position_missing = ~np.isfinite(values["lat_deg"])
     columns = {name: values[name] for name in _COLUMNS if name != "day"}
-    return (
-        FixColumns(
-            t=t,
-            **columns,
-            **velocities.columns_at(t),
-            unix_s=unix,
-            is_blank=position_missing,
-        ),
-        has_receive_times,
-    )
+    return FixColumns(t=t, **columns, **velocities.columns_at(t), unix_s=unix), has_receive_times
 
 
 _COLUMNS = (

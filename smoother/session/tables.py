@@ -1,100 +1,63 @@
-"""CSV tables: a header line, columns in any order, rows that may be damaged.
+"""Tables of cells between separators: one engine for the project's columns and for tables of other programs.
 
-Columns stand between commas; the header line tells where they stand between semicolons or tabs instead, and numbers may
-then have a decimal comma. Cells may be quoted.
-
-A file whose cells are all numbers is read as such, four times faster; else every cell is read as text and cast
-leniently, so a bad row costs itself and never the file. What can be wrong with a file as a whole (empty, no header, a
-missing column) is a SessionError that names the file and what it has.
+polars reads the cells; rows with quotation marks go through Python's csv module first (RFC 4180). Columns are read as
+numbers, and a column with any other cell once more as text, so that a bad cell costs itself. A row that has not as many
+cells as there are names is left out, whatever its cells: which of them is missing is unknown.
 """
 
+import csv
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array
 from smoother.disc import Growing, pieces, release, roomy
 from smoother.errors import SessionError
-from smoother.session.table_bytes import (
-    HEAD_BYTES,
-    LONGEST_LINE,
-    end_of_text,
-    plain_source,
-    separator_of,
-    text_head,
-    unquoted,
-)
-from smoother.words import UNREADABLE, listed
+from smoother.samples import Problem
+from smoother.session.readers.cells import Numbers, are_words, finite, numbers_of
+from smoother.session.readers.times import read_moments
+from smoother.session.text import HEAD_BYTES, text_blocks, text_head
+from smoother.words import UNREADABLE, counted, listed
 
-LONG_FILE = 64 << 20  # bytes; an hour of samples. Longer ones are read in parts, which takes less memory
-PART_BYTES = 32 << 20
-_ISO_FORMATS = tuple(
-    f"{form}{zone}" for form in ("%Y-%m-%dT%H:%M:%S%.f", "%Y%m%dT%H%M%S%.f") for zone in ("", "%:z", "%z")
-)
-ENOUGH_LINES = 20  # to know how many cells a row has
+SEPARATORS = ",;\t"  # of as many the first
+MOST_LINES_OF_A_ROW = 20  # with line ends in its cells
+COMMENT = b"#"
 ODD_SHARE = 0.05  # of the characters of a damaged text; names in another encoding are far fewer
-_MADE_DIFFERENT = re.compile(r"_duplicated_\d+$")  # by polars
-_POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
-NOTHING = re.compile(r"(?i)^(?:[-*?.]+|#?n[./]?a\.?|nil|null|none|nan)$")  # as programs write cells without a number
+_INSIDE = "\x1f"  # a separator within a quoted cell, while polars reads the row
 
 
 class NoRowsError(SessionError):
     """A table that holds nothing: nothing is wrong with it that a person could mend, and the others may do."""
 
 
-@dataclass(frozen=True)
-class _Wanted:
-    """What is read of a table, and what stands between its cells."""
-
-    numbers: tuple[str, ...]
-    required: tuple[str, ...]
-    times: tuple[str, ...]
-    separator: str
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All columns."""
-        return (*self.numbers, *self.times)
-
-    @property
-    def flags(self) -> list[str]:
-        """The columns of true and false: required cells that hold nothing, others that are not understood."""
-        return [*(f"empty {name}" for name in self.required), *(f"unread {name}" for name in self.others)]
-
-    @property
-    def others(self) -> list[str]:
-        """The columns that may be empty."""
-        return [*(name for name in self.numbers if name not in self.required), *self.times]
-
-
 @dataclass(frozen=True, eq=False)
-class _Gathered:
-    """Columns and flags of a whole table by name, and whether a last row was cut."""
+class Rows:
+    """Columns of a table by their places in a row, each (N,), of the rows that have as many cells as there are names.
 
-    columns: dict[str, Array]
-    flags: dict[str, BoolArray]
-    cut: bool
+    problems : rows that have not, and a last row that was cut short, as by a loss of power.
+    """
+
+    columns: dict[int, Numbers]
+    problems: tuple[Problem, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
     """Numbers of a CSV file: `columns` maps lower-case names to (N,) float64, NaN where a cell is no number.
 
-    `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
     `unread` counts, for each optional column, the cells that hold something which is no number, or no time.
-    `cut` : the last row was cut short, as by a loss of power, and is left out. Of columns of one name the first counts.
+    `problems` : rows that were left out. Of columns of one name the first counts.
     """
 
     file: str
     columns: dict[str, Array]
-    empty: dict[str, BoolArray]
     length: int
     unread: dict[str, int]
-    cut: bool = False
+    problems: tuple[Problem, ...]
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -112,101 +75,115 @@ class Table:
         return out
 
 
-def unique_names(names: Sequence[str]) -> list[str]:
-    """Trim and lower the header cells; a repeated or empty name gets a suffix no contract uses."""
-    seen: dict[str, int] = {}
-    unique = []
-    for name in names:
-        plain = name.strip("\ufeff\x00 \t\r\n\"'").lower()
-        seen[plain] = seen.get(plain, 0) + 1
-        unique.append(plain if plain and seen[plain] == 1 else _repeated(plain, seen[plain]))
-    return unique
+def separator_of(line: str) -> str:
+    """Return what separates the cells: whichever of SEPARATORS a line has most of."""
+    return max(SEPARATORS, key=line.count)
 
 
-def _own_names(names: Sequence[str]) -> list[str]:
-    """The same of names that polars has made different in its own way."""
-    return unique_names([_MADE_DIFFERENT.sub("", name) for name in names])
+def cells_of(line: str, separator: str | None = None) -> tuple[str, ...]:
+    """Return the cells of a line, without quotation marks and spaces around them."""
+    line = line.strip("\ufeff\r\n")
+    row = _parsed(line, separator or separator_of(line))
+    return tuple(cell.strip(' "\ufeff\r\t\0') for cell in row)
 
 
-def _repeated(name: str, number: int) -> str:
-    """What the column of a name is called that is the second of it, or of any other number."""
-    return f"{name} #{number}"
+def head_lines(path: Path, most: int) -> list[str]:
+    """Return the first lines that are not blank, at `most` so many. Raises SessionError if the file is unreadable."""
+    return [line for line in text_head(path).splitlines() if line.strip()][:most]
 
 
 def read_header(path: Path) -> tuple[str, ...]:
     """Column names of a CSV file, lower case and trimmed; () if it is empty. Raises SessionError if unreadable."""
-    line = _header_line(path)
-    separator = separator_of(line)
-    bare = unquoted(line.encode(), separator).decode()
-    return tuple(unique_names(bare.split(separator))) if line.strip() else ()
+    lines = head_lines(path, 1)
+    return _unique(cells_of(lines[0])) if lines else ()
 
 
-def head_lines(path: Path, most: int) -> list[str]:
-    """The first lines that are not blank, at `most` so many. Raises SessionError if the file is unreadable."""
-    return [line for line in text_head(path).splitlines() if line.strip()][:most]
-
-
-def names_of(line: str) -> tuple[str, ...]:
-    """The cells of a line, as they stand there but for quotation marks."""
-    separator = separator_of(line)
-    return tuple(cell.strip() for cell in unquoted(line.encode(), separator).decode().split(separator))
-
-
-def _header_line(path: Path) -> str:
-    return _first_line(text_head(path))
-
-
-def _first_line(text: str) -> str:
-    return next((line for line in text.splitlines() if line.strip()), "")
+def _unique(names: Sequence[str]) -> tuple[str, ...]:
+    """Names in lower case; one that is empty or repeated has a suffix that no contract uses."""
+    lower = [name.strip("'").lower() for name in names]
+    return tuple(
+        name if name and name not in lower[:i] else f"{name} #{lower[: i + 1].count(name)}"
+        for i, name in enumerate(lower)
+    )
 
 
 def read_table(
-    path: Path, required: Sequence[str], optional: Sequence[str] = (), iso_times: Sequence[str] = ()
+    path: Path,
+    required: Sequence[str],
+    optional: Sequence[str] = (),
+    iso_times: Sequence[str] = (),
+    *,
+    prefix: str = "gps",
 ) -> Table:
     """Read the named columns of a CSV file, plain or gzip; others are ignored, blank lines too.
 
     iso_times : optional columns of ISO 8601 times, of the extended form or the basic one, returned as seconds since
-    1970 (UTC where no zone is given).
+    1970 (UTC where no zone is given). prefix : of the codes of problems.
     Raises NoRowsError for an empty file or no rows, SessionError for a missing column or an unreadable file.
     """
-    header = read_header(path)
-    if not header:
-        raise NoRowsError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
     head = text_head(path)
-    if not head.strip("\0"):
+    if head and not head.strip("\0"):
         raise NoRowsError(f"{path.name}: begins with {len(head)} zero bytes; was it ever written? Copy it again")
+    lines = head.split("\n")
+    skip = next((i for i, line in enumerate(lines) if line.strip()), len(lines))
+    if skip == len(lines):
+        raise NoRowsError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
+    header = _unique(cells_of(lines[skip]))
     _require_columns(path.name, header, required, head)
-    _require_points(path.name, header, head)
-    numbers, times = (tuple(name for name in names if name in header) for names in ((*required, *optional), iso_times))
-    wanted = _Wanted(numbers, tuple(required), times, separator_of(_header_line(path)))
-    found = _gathered(path, wanted)
-    if len(found.columns[required[0]]) == 0:
-        raise NoRowsError(f"{path.name}: a header line, but no rows; was the recording started?")
-    empty = {name: found.flags[f"empty {name}"] for name in required}
-    unread = {name: int(found.flags[f"unread {name}"].sum()) for name in wanted.others}
-    return Table(path.name, found.columns, empty, len(found.columns[required[0]]), unread, found.cut)
+    numbers, times = (
+        {name: header.index(name) for name in names if name in header} for names in ((*required, *optional), iso_times)
+    )
+    separator = separator_of(lines[skip])
+    rows = read_rows(
+        path,
+        skip + 1,
+        len(header),
+        separator,
+        numbers.values(),
+        times.values(),
+        has_decimal_commas=True,
+        prefix=prefix,
+    )
+    columns, unread = {}, {}
+    for name, place in numbers.items():
+        found = rows.columns[place]
+        # a unit that stands in the cells may be another than that of the name
+        columns[name] = np.full(found.values.size, np.nan) if found.unit else found.values
+        unread[name] = found.unread + (int(np.count_nonzero(np.isfinite(found.values))) if found.unit else 0)
+    for name, place in times.items():
+        columns[name], unread[name] = _unix_seconds(rows.columns[place])
+    of_others = {name: count for name, count in unread.items() if name not in required}
+    return Table(path.name, columns, len(columns[required[0]]), of_others, rows.problems)
+
+
+def _unix_seconds(column: Numbers) -> tuple[Array, int]:
+    """Seconds (N,) since 1970 of ISO 8601 times, and how many cells hold anything else."""
+    cells = column.cells
+    assert cells is not None
+    moments = read_moments(cells, "")
+    seconds = moments.seconds if moments is not None and moments.has_date else np.full(len(cells), np.nan)
+    filled = (cells.str.strip_chars() != "").fill_null(value=False).to_numpy()
+    return seconds, int(np.count_nonzero(filled & np.isnan(seconds)))
 
 
 def _require_columns(file: str, header: Sequence[str], required: Sequence[str], head: str) -> None:
     """Raise SessionError where a column is missing, or all of the first line, of names, is, or the file is no text."""
     missing = [name for name in required if name not in header]
-    if missing and _is_binary(head):
+    if not missing:
+        return
+    if _is_binary(head):
         raise SessionError(f"{file}: not a text table, but a file of another kind; wanted {', '.join(required)}, ..")
-    if missing and not any(name in header for name in required) and _are_numbers(header):
+    if not any(name in header for name in required) and _are_numbers(header):
         first = f"{', '.join(required)}, .." if len(header) > len(required) else ", ".join(required)
         raise SessionError(
             f"{file}: the first line is numbers, and no header; put a line with the column names above it ({first})"
         )
-    if missing:
-        raise SessionError(f"{file}: no column {missing[0]}; has {listed(header)}{_remedy(missing[0], header)}")
-
-
-def _remedy(missing: str, header: Sequence[str]) -> str:
-    """What to do about a column that is missing where the header shows it in another form; else nothing."""
-    if len(header) == 1 and missing in re.split(r"\W+", header[0]):
-        return "; write commas between the columns"
-    with_more = next((name for name in header if re.match(rf"{missing}\W", name)), None)
-    return "" if with_more is None else f"; write names alone, as {missing}"
+    remedy = ""
+    if len(header) == 1 and missing[0] in re.split(r"\W+", header[0]):
+        remedy = "; write commas between the columns"
+    elif any(re.match(rf"{missing[0]}\W", name) for name in header):
+        remedy = f"; write names alone, as {missing[0]}"
+    raise SessionError(f"{file}: no column {missing[0]}; has {listed(header)}{remedy}")
 
 
 def _is_binary(head: str) -> bool:
@@ -221,184 +198,174 @@ def _are_numbers(header: Sequence[str]) -> bool:
     return any(cell[:1].isdigit() for cell in header) and all(cell[:1] in "+-.0123456789 #" for cell in header)
 
 
-def _require_points(file: str, header: Sequence[str], head: str) -> None:
-    """Raise SessionError where numbers have decimal commas and commas stand between them too.
+def read_rows(
+    path: Path,
+    skip: int,
+    width: int,
+    separator: str | None,
+    numbers: Collection[int],
+    texts: Collection[int] = (),
+    *,
+    has_decimal_commas: bool = False,
+    prefix: str = "gps",
+) -> Rows:
+    """Read rows of `width` cells below the first `skip` lines: columns of numbers, and of texts, which may be numbers.
 
-    Read as they stand, a longitude would be the decimals of the latitude. Then rows have more cells than there are
-    names, and no number has a point.
+    separator : None for any white space. Columns of few short words have their cells, as of texts: they may be
+    hemispheres. has_decimal_commas : a comma in a cell is never one between thousands.
+    prefix : of the codes of problems.
+    Raises NoRowsError without rows, SessionError where no row fits or a line is endless.
     """
-    if '"' in head or separator_of(_first_line(head)) != ",":
-        return
-    lines = [line for line in head.splitlines() if line.strip()][1 : ENOUGH_LINES + 1]
-    cells = [line.rstrip(", \t").split(",") for line in lines]
-    longer = [row for row in cells if len(row) > len(header)]
-    if lines and 2 * len(longer) > len(lines) and not any(_POINTED.fullmatch(cell) for row in longer for cell in row):
+    values, kept = {i: Growing() for i in (*numbers, *texts)}, {i: list[pl.Series]() for i in texts}
+    unread, units = dict.fromkeys(values, 0), dict[int, str]()
+    form = _Form(separator or " ", width, separator is None, has_decimal_commas)
+    length = misfits = found = 0
+    is_cut = False
+    for block in text_blocks(path, skip):
+        lines, is_cut = form.without_cut_row(block)
+        try:
+            columns, odd, first_odd = form.read(lines, [i for i in values if i not in kept], kept)
+        except pl.exceptions.PolarsError as error:
+            raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
+        if not length:
+            kept |= {i: [] for i, column in columns.items() if i not in kept and are_words(column)}
+        for i, column in columns.items():
+            values[i].add(column.values)
+            unread[i] += column.unread
+            units.setdefault(i, column.unit)
+        for i, cells in kept.items():
+            of_column = columns[i].cells
+            assert of_column is not None
+            cells.append(of_column)
+        length += len(next(iter(columns.values())).values)
+        misfits, found = misfits + odd, found or first_odd
+    if misfits and not length:
+        remedy = ", or with decimal commas write semicolons between the cells" if separator == "," else ""
         raise SessionError(
-            f"{file}: {len(header)} names in the header line, but rows of {len(longer[0])} cells; with decimal commas "
-            "write semicolons between the cells, or points for decimals"
+            f"{path.name}: rows have {found} values, but {width} columns are named; mend the line of names{remedy}"
+        )
+    if not length:
+        raise NoRowsError(f"{path.name}: a header line, but no rows; was the recording started?")
+    problems = []
+    if is_cut:
+        problems.append(Problem(f"{prefix}_row_cut", f"{path.name}: 1 row cut short at the end of the file; dropped"))
+    if misfits:
+        text = f"{path.name}: {counted(misfits, 'row')} without the {width} values of a row; dropped"
+        problems.append(Problem(f"{prefix}_row_damaged", text, misfits))
+    columns = {
+        i: Numbers(values[i].rows, unread[i], units[i], pl.concat(kept[i]) if i in kept else None) for i in values
+    }
+    return Rows(columns, tuple(problems))
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How the rows of a file are written."""
+
+    separator: str
+    width: int
+    is_spaced: bool
+    has_decimal_commas: bool
+
+    def without_cut_row(self, block: bytes) -> tuple[bytes, bool]:
+        """The block without a last row that has no end and fewer cells, or a shorter last cell, than all others.
+
+        A number that lost its last digits is a number still: of a longitude of 11.23456 the cut 11.2 is as good.
+        """
+        if block.endswith(b"\n"):
+            return block, False
+        begin = max(0, len(block) - HEAD_BYTES)
+        others = block[begin:].split(b"\n")[1 if begin else 0 :]
+        last = others.pop() if others else b""
+        mark = self.separator.encode()
+        ends = [(line.count(mark), len(line.rpartition(mark)[2].rstrip())) for line in others if line.strip()]
+        if not ends or not last.strip():
+            return block, False
+        cells, size = last.count(mark), len(last.rpartition(mark)[2])
+        fewest = min(count for count, _ in ends)
+        is_cut = cells < fewest or (cells == fewest and size < min(size for _, size in ends))
+        return block[: len(block) - len(last)] if is_cut else block, is_cut
+
+    def read(
+        self, block: bytes, numbers: Collection[int], texts: Collection[int]
+    ) -> tuple[dict[int, Numbers], int, int]:
+        """The columns of a block of lines, how many rows do not fit, and how many cells the first of those has."""
+        misfits = found = 0
+        frame = self._cells(block, numbers, texts) if self._may_fit(block) else None
+        if frame is None or frame[str(self.width)].null_count() < frame.height:
+            block, misfits, found = self._fitted(block.split(b"\n"))
+            frame = self._cells(block, numbers, texts)
+        odd = [i for i in numbers if frame[str(i)].null_count()]
+        again = self._cells(block, (), odd) if odd else frame
+        columns = {}
+        for i in (*numbers, *texts):
+            if i in odd or i in texts:
+                cells = self._restored((again if i in odd else frame)[str(i)])
+                columns[i] = replace(numbers_of(cells, has_decimal_commas=self.has_decimal_commas), cells=cells)
+            else:
+                values = frame[str(i)].to_numpy()
+                columns[i] = Numbers(finite(values), int(np.count_nonzero(np.isinf(values))))
+        return columns, misfits, found
+
+    def _may_fit(self, block: bytes) -> bool:
+        """Whether all rows fit as far as counts show, and need no other care."""
+        lines = block.count(b"\n") + (not block.endswith(b"\n"))
+        is_plain = not self.is_spaced and b'"' not in block and COMMENT not in block
+        return is_plain and block.count(self.separator.encode()) == lines * (self.width - 1)
+
+    def _cells(self, block: bytes, numbers: Collection[int], texts: Collection[int]) -> pl.DataFrame:
+        """The columns of numbers, null where a cell is none, of texts, and of what stands behind the last column."""
+        header = self.separator.join(map(str, range(self.width + 1)))
+        return pl.read_csv(
+            header.encode() + b"\n" + block,
+            columns=[str(i) for i in (*numbers, *texts, self.width)],
+            separator=self.separator,
+            infer_schema=False,
+            schema_overrides={str(i): pl.Float64 for i in numbers},
+            ignore_errors=True,
+            truncate_ragged_lines=True,
+            quote_char=None,
+            encoding="utf8-lossy",
         )
 
+    def _restored(self, cells: pl.Series) -> pl.Series:
+        return cells.str.replace_all(_INSIDE, self.separator, literal=True)
 
-def _gathered(path: Path, wanted: _Wanted) -> _Gathered:
-    """What a file holds; of a long one from all parts."""
+    def _fitted(self, lines: list[bytes]) -> tuple[bytes, int, int]:
+        """The rows that fit, without quotation marks; how many do not, and how many cells the first of those has."""
+        mark, fitted, misfits, found, i = self.separator.encode(), list[bytes](), 0, 0, 0
+        while i < len(lines):
+            line, used = self._unquoted(lines, i) if b'"' in lines[i] else (lines[i], 1)
+            i += used
+            if not line.strip() or line.lstrip().startswith(COMMENT):
+                continue
+            if self.is_spaced:
+                line = b" ".join(line.replace(b",", b".").split())  # some programs write decimal commas
+            more = line.count(mark) + 1 - self.width
+            if more < 0 or (more > 0 and b"".join(line.rsplit(mark, more)[1:]).strip()):
+                misfits, found = misfits + 1, found or more + self.width
+                continue
+            fitted.append(line)
+        return b"\n".join(fitted), misfits, found
+
+    def _unquoted(self, lines: list[bytes], first: int) -> tuple[bytes, int]:
+        """The row that begins with a line with quotation marks, and how many lines it takes.
+
+        A cell in quotes may run over several lines; a mark without a partner costs its line, and not those behind it.
+        """
+        for used in range(1, min(MOST_LINES_OF_A_ROW, len(lines) - first) + 1):
+            text = b"\n".join(lines[first : first + used]).decode("utf-8", errors="replace")
+            if text.count('"') % 2 == 0:
+                row = _parsed(text, self.separator)
+                if used == 1 or len(row) == self.width:
+                    cells = (cell.replace(self.separator, _INSIDE).replace("\n", " ") for cell in row)
+                    return self.separator.join(cells).encode(), used
+                break
+        return lines[first].replace(b'"', b""), 1
+
+
+def _parsed(text: str, separator: str) -> list[str]:
     try:
-        source, is_quoted = plain_source(path), '"' in text_head(path)
-        end, cut = _end_of_rows(source, wanted.separator.encode())
-        if isinstance(source, bytes):
-            source = source[:end]
-        elif path.stat().st_size <= LONG_FILE and end < path.stat().st_size:
-            source = source.read_bytes()[:end]
-        if isinstance(source, bytes) or path.stat().st_size <= LONG_FILE:
-            if is_quoted:
-                source = unquoted(source.read_bytes() if isinstance(source, Path) else source, wanted.separator)
-            frame = _read_cells(source, wanted)
-            flags = {name: frame[name].to_numpy() for name in wanted.flags}
-            return _Gathered({name: _column(frame, name) for name in wanted.names}, flags, cut)
-        return _gathered_in_parts(path, wanted, end, cut, is_quoted)
-    except pl.exceptions.PolarsError as error:
-        raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
-    except OSError as error:
-        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
-
-
-def _gathered_in_parts(path: Path, wanted: _Wanted, end: int, cut: bool, is_quoted: bool) -> _Gathered:
-    """The same of a long file, `end` bytes of which are rows: a part of it at a time is in memory."""
-    growing = {name: Growing() for name in wanted.names}
-    flags = {name: Growing(dtype=np.bool_) for name in wanted.flags}
-    for lines in _parts(path, end):
-        frame = _read_cells(unquoted(lines, wanted.separator) if is_quoted else lines, wanted)
-        for name, column in growing.items():
-            column.add(_column(frame, name))
-        for name, flag in flags.items():
-            flag.add(frame[name].to_numpy())
-    columns = {name: column.rows for name, column in growing.items()}
-    return _Gathered(columns, {name: flag.rows for name, flag in flags.items()}, cut)
-
-
-def _parts(path: Path, end: int) -> Iterator[bytes]:
-    """The first `end` bytes of a file in parts of whole lines, each below the header."""
-    with path.open("rb") as file:
-        header = file.readline(LONGEST_LINE)
-        while not header.strip() and (more := file.readline(LONGEST_LINE)):
-            header = more
-        while lines := file.read(min(PART_BYTES, end - file.tell())):
-            yield header + lines + file.readline(min(LONGEST_LINE, end - file.tell()))
-
-
-def _end_of_rows(source: Path | bytes, separator: bytes) -> tuple[int, bool]:
-    """Where the whole rows of a file end, and whether a row that was cut short stands behind them.
-
-    A card has room reserved for a file that grows: after a loss of power zeros may follow the last row.
-    """
-    if isinstance(source, bytes):
-        end = len(source.rstrip(b"\0"))
-        begin = max(0, end - HEAD_BYTES)
-        tail = source[begin:end]
-    else:
-        with source.open("rb") as file:
-            end = end_of_text(file, source.stat().st_size)
-            begin = max(0, end - HEAD_BYTES)
-            file.seek(begin)
-            tail = file.read(end - begin)
-    cut = _length_cut(tail, separator)
-    return end - cut, cut > 0
-
-
-def _length_cut(tail: bytes, separator: bytes) -> int:
-    """How many bytes at the end are a row without end that has fewer cells, or a shorter last cell, than all others.
-
-    A number that lost its last digits is a number still: of a longitude of 11.23456 the cut 11.2 is as good a place.
-    """
-    *before, last = tail.splitlines() or [b""]
-    others = [line for line in before[1:] if line.strip()]  # the first is the header, or cut itself
-    if tail.endswith((b"\n", b"\r")) or not last.strip() or not others:
-        return 0
-    fewest = min(line.count(separator) for line in others)
-    shortest = min(len(line.rpartition(separator)[2].rstrip()) for line in others)
-    cells = last.count(separator)
-    is_cut = cells < fewest or (cells == fewest and len(last.rpartition(separator)[2]) < shortest)
-    return len(last) if is_cut else 0
-
-
-def _read_cells(source: Path | bytes, wanted: _Wanted) -> pl.DataFrame:
-    """The columns and flags of a table: as numbers throughout, or else cell by cell."""
-    nothing = [pl.lit(value=False).alias(f"empty {name}") for name in wanted.required]
-    nothing += [
-        pl.col(name).is_infinite().fill_null(value=False).alias(f"unread {name}")
-        for name in wanted.others
-        if name not in wanted.times
-    ]
-    clean = _scan(source, wanted, wanted.numbers).select(*wanted.numbers, *_times(wanted), *nothing)
-    frame = clean.collect(engine="streaming")
-    if frame.select(wanted.numbers).null_count().sum_horizontal().sum() == 0:
-        return frame
-    return _lenient(source, wanted).collect(engine="streaming")
-
-
-def _scan(source: Path | bytes, wanted: _Wanted, numbers: Sequence[str] = ()) -> pl.LazyFrame:
-    """The file with the columns `numbers` as numbers, null where a cell is none; the others as text."""
-    return pl.scan_csv(
-        source.absolute() if isinstance(source, Path) else source,  # else ~ at its start is a home folder
-        glob=False,  # a name may hold brackets, stars and question marks
-        separator=wanted.separator,
-        infer_schema=False,
-        schema_overrides=dict.fromkeys(numbers, pl.Float64),
-        ignore_errors=True,
-        truncate_ragged_lines=True,
-        quote_char=None,
-        encoding="utf8-lossy",
-        with_column_names=_own_names,
-    )
-
-
-def _lenient(source: Path | bytes, wanted: _Wanted) -> pl.LazyFrame:
-    """The same from a file with cells that are padded, empty or no numbers; blank lines are left out."""
-    blank = {name: _is_blank(name) for name in wanted.required}
-    chosen = [
-        *(_number(name).alias(name) for name in wanted.numbers),
-        *_times(wanted),
-        *(blank[name].alias(f"empty {name}") for name in wanted.required),
-        *(_is_unread(name).alias(f"unread {name}") for name in wanted.others if name not in wanted.times),
-    ]
-    return _scan(source, wanted).filter(~pl.all_horizontal(blank.values())).select(chosen)
-
-
-def _cell(name: str) -> pl.Expr:
-    return pl.col(name).str.strip_chars(" \t\r")
-
-
-def _number(name: str) -> pl.Expr:
-    """A cell as a number; a comma in it is a decimal one, as it does not part cells."""
-    return _cell(name).str.replace(",", ".", literal=True).cast(pl.Float64, strict=False)
-
-
-def _is_blank(name: str) -> pl.Expr:
-    return _cell(name).is_null() | (_cell(name) == "")
-
-
-def _is_unread(name: str) -> pl.Expr:
-    """Whether a cell holds something that is no finite number, and no word for nothing either."""
-    number = _number(name)
-    is_none = number.is_null() & ~_is_blank(name) & ~_cell(name).str.contains(NOTHING.pattern)
-    return is_none | number.is_infinite().fill_null(value=False)
-
-
-def _times(wanted: _Wanted) -> Iterator[pl.Expr]:
-    """The columns of times in seconds since 1970, and of each where it holds something else."""
-    for name in wanted.times:
-        seconds = _unix_seconds(_cell(name))
-        yield seconds.alias(name)
-        yield (seconds.is_null() & ~_is_blank(name)).alias(f"unread {name}")
-
-
-def _column(frame: pl.DataFrame, name: str) -> Array:
-    values = frame[name].to_numpy()  # null becomes NaN
-    finite = np.isfinite(values)
-    return values if finite.all() else np.where(finite, values, np.nan)
-
-
-def _unix_seconds(cell: pl.Expr) -> pl.Expr:
-    text = cell.str.replace(r"(?i)\s*(z|utc)$", "").str.replace(" ", "T", literal=True)
-    text = text.str.replace(",", ".", literal=True)
-    parsed = [text.str.to_datetime(form, strict=False, time_unit="us").dt.epoch("us") for form in _ISO_FORMATS]
-    return pl.coalesce(parsed).cast(pl.Float64) / 1e6
+        return next(csv.reader([text], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return text.split(separator)

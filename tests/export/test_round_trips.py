@@ -30,8 +30,8 @@ from hypothesis import strategies as st
 from smoother.export.formats import BY_NAME
 from smoother.export.source import open_source
 from smoother.frames import rotation_from_euler
-from smoother.session.readers.table import read_table as read_aim
-from smoother.session.readers.table import read_table as read_racechrono
+from smoother.session.readers.sets import read_tables as read_aim
+from smoother.session.readers.sets import read_tables as read_racechrono
 from smoother.session.readers.tracks import read_track as read_gpx
 from smoother.session.readers.vbo import own_lines, read_vbo
 from smoother.units import DEG, KMH, STANDARD_GRAVITY

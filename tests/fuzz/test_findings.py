@@ -165,7 +165,7 @@ def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
 
 
 def test_an_archive_that_unpacks_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smoother.session.table_bytes.LARGEST_UNPACKED", 5 << 20)
+    monkeypatch.setattr("smoother.session.text.LARGEST_UNPACKED", 5 << 20)
     head = b"t_s,lat_deg,lon_deg\n0.0,45.0,13.0\n"
     (tmp_path / "gps.csv.gz").write_bytes(gzip.compress(head + b"0.1,45.0,13.0\n" * 1_000_000))
     tracemalloc.start()

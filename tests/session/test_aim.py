@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from smoother.session.load import load_raw
-from smoother.session.readers.table import read_table as read_aim
+from smoother.session.readers.sets import read_tables as read_aim
 
 from .readers import assert_outlives_damage, assert_refused
 
@@ -147,7 +147,7 @@ def test_a_folder_with_the_file_is_a_session_of_fixes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (table([]), "a header, but no rows"),
+        (table([]), "a header line, but no rows"),
         (table([values(k)[:9] for k in range(9)]), "rows have 9 values, but 14 columns are named"),
         (table([values(0)] * 50), "rows repeat the time of another"),
         (table([(f"{1e-5 * k:.5f}", *values(k)[1:]) for k in range(50)]), "fixes a second, which no receiver makes"),

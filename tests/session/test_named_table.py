@@ -13,7 +13,7 @@ from smoother.errors import SessionError
 from smoother.session.checks.imu import USABLE
 from smoother.session.load import load_raw
 from smoother.session.readers.foreign import ForeignReading
-from smoother.session.readers.table import read_table as read_named_table
+from smoother.session.readers.sets import read_tables as read_named_table
 from smoother.units import DEG, STANDARD_GRAVITY
 
 from .checked import checked
@@ -375,7 +375,7 @@ def test_a_table_in_a_text_file_is_read_too(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("Time,Latitude,Longitude\nnow,45.0,12.0\nthen,45.1,12.0\n", "its times, as now, are not understood"),
-        ("Time,Latitude,Longitude\n", "a header, but no rows; was the recording started?"),
+        ("Time,Latitude,Longitude\n", "a header line, but no rows; was the recording started?"),
         ("Time,Latitude,Longitude\n1,45.0,12.0,7,7\n", "rows have 5 values, but 3 columns are named; mend the line"),
         ("Time,Latitude,Longitude\n1,north,east\n", "no known kind of recording"),
         ("Lap,Latitude,Longitude\n1,45.0,12.0\n", "no known kind of recording"),

@@ -7,7 +7,7 @@ import pytest
 
 from smoother.errors import SessionError
 from smoother.session.load import load_raw
-from smoother.session.readers.table import read_table as read_racechrono
+from smoother.session.readers.sets import read_tables as read_racechrono
 
 from .readers import assert_outlives_damage, assert_refused
 
@@ -167,7 +167,7 @@ def test_gps_csv_wins_over_a_recording_of_another_program(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (csv([]), "a header, but no rows"),
+        (csv([]), "a header line, but no rows"),
         (csv([fix_row(k) + ",1,2" for k in range(9)]), "rows have 23 values, but 21 columns are named"),
         (csv([fix_row(0)] * 50), "rows repeat the time of another"),
         (csv([fix_row(0).replace(f"{START:.3f}", f"{START + 1e-5 * k:.5f}") for k in range(90)]), "fixes a second"),

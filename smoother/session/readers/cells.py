@@ -11,8 +11,8 @@ import numpy as np
 import polars as pl
 
 from smoother.arrays import Array
-from smoother.session.tables import NOTHING
 
+NOTHING = re.compile(r"(?i)^(?:[-*?.]+|#?n[./]?a\.?|nil|null|none|nan)$")  # as programs write cells without a number
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _WITH_UNIT = rf"^({_NUMBER})\s*([A-Za-z°%µμΩ][A-Za-z°%µμΩ/·*^²]*2?)$"
 _SPACES = r"(\d)[   '’](\d{3})"  # between thousands
@@ -33,15 +33,20 @@ MOSTLY = 0.5  # of the cells of a column
 LONGEST_ANGLE = 40  # letters of a cell; more is damage, of which every reading would be tried
 SEMICIRCLE = 180.0 / 2**31  # deg
 LARGEST_OF_MINUTES = 18060.0  # of longitude, as dddmm.mmmm
+MOST_WORDS, LONGEST_WORD = 4, 8  # different ones in a column of hemispheres, and their letters
 
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """Values (N,) of a column, NaN where a cell is no number; how many hold something else; the unit written in most"""
+    """Values (N,) of a column, NaN where a cell is no number; how many hold something else; the unit written in most.
+
+    cells (N,) : as they stand, where they may be text.
+    """
 
     values: Array
     unread: int = 0
     unit: str = ""
+    cells: pl.Series | None = None
 
 
 def numbers_of(cells: pl.Series, *, has_decimal_commas: bool = False) -> Numbers:
@@ -55,10 +60,10 @@ def numbers_of(cells: pl.Series, *, has_decimal_commas: bool = False) -> Numbers
         is_usual = MOSTLY * filled <= int(odd.sum())  # a unit is written in all cells, a damaged digit in one
         some, unit = _plain(text.filter(odd), has_decimal_commas or _all_odd(text, odd), is_usual)
         values = plain.to_numpy(writable=True)
-        values[odd.to_numpy()] = _floats(some)
+        values[odd.to_numpy()] = floats(some)
         unread = int(np.count_nonzero(np.isnan(values[odd.to_numpy()])))
         return Numbers(np.where(np.isfinite(values), values, np.nan), unread, unit)
-    return Numbers(_floats(plain))
+    return Numbers(floats(plain))
 
 
 def _all_odd(text: pl.Series, odd: pl.Series) -> bool:
@@ -146,7 +151,7 @@ def hemispheres_of(cells: pl.Series, *, is_longitude: bool) -> Array | None:
         return None
     is_east = any(text.strip().upper().startswith("E") for text in different)
     signs = {text: sign_of(text.strip(), is_east=is_east) for text in different}
-    return _floats(cells.replace_strict(list(signs), list(signs.values()), default=None, return_dtype=pl.Float64))
+    return floats(cells.replace_strict(list(signs), list(signs.values()), default=None, return_dtype=pl.Float64))
 
 
 def qualities_of(cells: pl.Series) -> Array:
@@ -160,6 +165,19 @@ def qualities_of(cells: pl.Series) -> Array:
     return np.where(np.isfinite(numbers.values), numbers.values, words)
 
 
-def _floats(series: pl.Series) -> Array:
-    values = series.fill_null(np.nan).to_numpy()
-    return np.where(np.isfinite(values), values, np.nan)
+def are_words(column: Numbers) -> bool:
+    """Whether the cells of a column are few different short words."""
+    if column.cells is None or np.isfinite(column.values).any():
+        return False
+    different = column.cells.unique().drop_nulls().to_list()
+    return len(different) <= MOST_WORDS and all(len(word) <= LONGEST_WORD for word in different)
+
+
+def floats(series: pl.Series) -> Array:
+    """Return the values (N,) of a series, NaN for null and infinite ones."""
+    return finite(series.fill_null(np.nan).to_numpy())
+
+
+def finite(values: Array) -> Array:
+    """Return values (N,), NaN for infinite ones; the same array where there are none."""
+    return values if np.isfinite(values).all() else np.where(np.isfinite(values), values, np.nan)

@@ -4,7 +4,6 @@ Looks at the beginning of the text only, so that a folder is looked through quic
 places, forces or turn rates under any name that is known, and what has no numbers where these would be.
 """
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,13 +11,14 @@ from pathlib import Path
 
 from smoother.errors import SessionError
 from smoother.session.readers.names import meaning_of
-from smoother.session.readers.sheet import places_of
-from smoother.session.tables import head_lines, names_of
+from smoother.session.readers.sheet import Column, Sheet, places_of, sheet_of
+from smoother.session.tables import cells_of, head_lines, read_rows, separator_of
+from smoother.session.text import text_head
 from smoother.words import counted, listed
 
 MOST_LINES = 60  # before the names, about the session
-SEPARATORS = ",;\t"  # of as many the first
 COMMENT = "#"
+TEXTUAL = ("time", "date", "latitude", "longitude", "fix")  # quantities whose cells may be more than numbers
 OVERWRITTEN = "\0\ufffd"  # in rows that a card has lost, as in no text
 OWN_NAMES = ("lat_deg", "lon_deg", "t_s")  # of this project's tables, which have a reader, or are results
 PLACES = ("latitude", "longitude")
@@ -55,7 +55,7 @@ def layout_of(head: str, sensor: str = "") -> Layout | None:
     """Return the layout of a table that begins with the text `head`; None where that is none of motion with times."""
     lines = head.split("\n")
     for place, line in enumerate(lines[:MOST_LINES]):
-        separator = max(SEPARATORS, key=line.count)
+        separator = separator_of(line)
         if line.lstrip(' "\ufeff').lower().startswith("sep=") or not line.strip():
             continue
         names, units = _names(line, separator)
@@ -155,13 +155,29 @@ def _may_be_value(cell: str) -> bool:
     return not cell or any(c.isdigit() for c in cell) or cell.lower() in ("nan", "-", "null", "n/a", "none")
 
 
-def cells_of(line: str, separator: str) -> tuple[str, ...]:
-    """The cells of a line, without quotation marks and spaces around them."""
+def layout_in(path: Path) -> Layout | None:
+    """The layout of a file that is a table of motion by its first lines; None of any other, or if it is unreadable."""
     try:
-        row = next(csv.reader([line.strip("\ufeff\r\n")], delimiter=separator, skipinitialspace=True), [])
-    except csv.Error:
-        row = line.split(separator)
-    return tuple(cell.strip(' "\ufeff\r') for cell in row)
+        return layout_of(text_head(path), path.stem)
+    except SessionError:
+        return None  # whoever needs the file will say so
+
+
+def sheet_in(path: Path) -> Sheet:
+    """The sheet in a table. Raises SessionError, one line, where it is none."""
+    layout = layout_of(text_head(path), path.stem)
+    if layout is None:
+        raise SessionError(f"{path.name}: no table with latitude, longitude and time")
+    texts = {place for quantity in TEXTUAL for place in layout.places.get(quantity, ())}
+    has_commas = layout.separator != ","
+    places = range(len(layout.names))
+    rows = read_rows(path, layout.lines, len(places), layout.separator, places, texts, has_decimal_commas=has_commas)
+    columns = [
+        Column(name, found.values, layout.units[i] or found.unit, layout.sources[i], found.cells, found.unread)
+        for i, name in enumerate(layout.names)
+        for found in (rows.columns[i],)
+    ]
+    return sheet_of(path.name, columns, rows.problems, sensor=layout.sensor, about=layout.about)
 
 
 LINES_OF_UNKNOWN = 40  # before the names, about the session
@@ -219,7 +235,7 @@ def _names_of_unknown(path: Path) -> tuple[int, tuple[str, ...]]:
     Names are as they stand in the file.
     """
     lines = head_lines(path, LINES_OF_UNKNOWN)
-    rows = [names_of(line) for line in lines]
+    rows = [cells_of(line) for line in lines]
     place = next((i for i, row in enumerate(rows) if _places(row) is not None), None)
     if place is None:  # without places the row with most names that are known
         known = [sum(meaning_of(name) is not None for name in row) for row in rows]

@@ -18,8 +18,8 @@ from smoother.errors import SessionError
 from smoother.session.readers.child import KINDS, sheets_in
 from smoother.session.readers.columns import recording_of
 from smoother.session.readers.foreign import ForeignReading
+from smoother.session.readers.layout import layout_in, sheet_in
 from smoother.session.readers.sheet import Sheet
-from smoother.session.readers.table import layout_in, sheet_in
 from smoother.session.readers.xrk import LAP
 
 _CHAPTER = re.compile(r"(?i)^g(?:[a-z](?P<chapter>\d{2})|opr)(?P<number>\d{4})\b")
@@ -70,7 +70,7 @@ def read_native(kind: str, paths: Sequence[Path]) -> ForeignReading:
     return recording_of(file, [_named(sheet, file) for sheet in sheets_in(kind, paths)])
 
 
-def read_tables(path: Path, sensors: Sequence[Path]) -> ForeignReading:
+def read_tables(path: Path, sensors: Sequence[Path] = ()) -> ForeignReading:
     """Read a table of fixes and those of sensors beside it. Raises SessionError, one line."""
     return recording_of(path.name, [sheet_in(path), *(sheet_in(sensor) for sensor in sensors)])
 
@@ -128,7 +128,8 @@ def _of_log(path: Path) -> tuple[float, ...]:
 
 
 def _of_table(path: Path) -> tuple[float, ...]:
-    about = layout_in(path)[0].about
+    layout = layout_in(path)
+    about = {} if layout is None else layout.about
     markers, lasts = (_seconds(about.get(name, "")) for name in ("beacon markers", "duration"))
     if markers and lasts and markers[-1] > lasts[0] - END:
         markers = markers[:-1]

@@ -16,7 +16,7 @@ import polars as pl
 
 from smoother.arrays import Array
 from smoother.samples import Problem
-from smoother.session.readers.cells import numbers_of
+from smoother.session.readers.cells import floats, numbers_of
 from smoother.session.rows import LATEST, over_midnight
 from smoother.units import DAY
 
@@ -168,7 +168,7 @@ def read_moments(cells: pl.Series, unit: str) -> Moments | None:
 def _elapsed(cells: pl.Series, filled: int) -> Moments | None:
     """Minutes and seconds since the start."""
     parts = cells.str.replace(",", ".", literal=True).str.extract_groups(SHORT_CLOCK).struct.unnest()
-    minutes, seconds = (_floats(parts[str(i)].cast(pl.Float64, strict=False)) for i in (1, 2))
+    minutes, seconds = (floats(parts[str(i)].cast(pl.Float64, strict=False)) for i in (1, 2))
     t = 60.0 * minutes + seconds
     return Moments(t) if filled and np.count_nonzero(np.isfinite(t)) > MOSTLY * filled else None
 
@@ -306,8 +306,8 @@ def _of_text(cells: pl.Series) -> tuple[Array, bool, Array]:
     none."""
     cells = cells.str.replace(BASIC_CLOCK, "${1} ${2}:${3}:${4}")
     parts = cells.str.extract_groups(CLOCK).struct.unnest()
-    hours, minutes = (_floats(parts[str(i)].cast(pl.Float64, strict=False)) for i in (1, 2))
-    seconds = _floats(parts["3"].str.replace("[,:]", ".").cast(pl.Float64, strict=False))
+    hours, minutes = (floats(parts[str(i)].cast(pl.Float64, strict=False)) for i in (1, 2))
+    seconds = floats(parts["3"].str.replace("[,:]", ".").cast(pl.Float64, strict=False))
     half, zone = (parts[str(i)].str.strip_chars(" ,()") for i in (4, 5))
     afternoon = half.str.to_lowercase().str.starts_with("p").fill_null(value=False).to_numpy()
     hours = np.where(half.is_null().to_numpy(), hours, hours % 12 + 12.0 * afternoon)
@@ -347,14 +347,9 @@ def _mapped(cells: pl.Series, value: Callable[[str], float]) -> Array:
     if not different or len(different) > MOST_DATES:
         return np.full(len(cells), np.nan)
     values = [value(text) for text in different]
-    return _floats(cells.replace_strict(different, values, default=None, return_dtype=pl.Float64))
+    return floats(cells.replace_strict(different, values, default=None, return_dtype=pl.Float64))
 
 
 def _midnight(text: str) -> float:
     day = day_of(text)
     return float("nan") if day is None else (day.toordinal() - 719_163) * DAY  # of 1 January 1970
-
-
-def _floats(series: pl.Series) -> Array:
-    values = series.fill_null(np.nan).to_numpy()
-    return np.where(np.isfinite(values), values, np.nan)

@@ -30,13 +30,15 @@ from smoother.session.readers.foreign import (
 from smoother.session.readers.motion import imu_of
 from smoother.session.readers.names import SPEED_UNITS
 from smoother.session.readers.sheet import Column, Sheet, sheet_of
-from smoother.session.readers.text import Rows, head_of, read_rows
 from smoother.session.readers.times import read_moments, time_of_day
 from smoother.session.rows import over_midnight
+from smoother.session.tables import Rows, read_rows
+from smoother.session.text import text_head
 from smoother.units import DAY
 from smoother.words import listed
 
 WHAT = "VBO file ([header], [column names], [data])"
+LONGEST_HEAD = 1 << 20  # bytes
 NAMES = {  # what is wanted: how programs call it, in lower case
     "sats": ("sats", "satellites", "sat"),
     "time": ("time", "utc time", "utc-time"),
@@ -118,20 +120,20 @@ _WORDS = {"longacc": "longaccel", "latacc": "lataccel", "speed": "velocity", "ve
 
 def read_vbo(path: Path) -> ForeignReading:
     """Read a VBO file. Raises SessionError, one line, where it is none or nothing in it can be used."""
-    lines, offset = head_of(path, lambda line: line.strip().lower() == "[data]", WHAT)
-    head = _Head(_sections(lines[:-1]))
+    lines = _lines_above_data(path)
+    head = _Head(_sections(lines))
     names = head.columns
     found = {key: next((name for name in choices if name in names), None) for key, choices in NAMES.items()}
     missing = [key for key in NEEDED if found[key] is None]
     if missing:
         raise SessionError(f"{path.name}: no column for {missing[0]}; has {listed(names)}")
     time = names.index(str(found["time"]))
-    rows = read_rows(path, offset, len(names), None, WHAT, texts=[time])
+    rows = read_rows(path, len(lines) + 1, len(names), None, range(len(names)), [time])
+    unknown = np.full(rows.columns[time].values.size, np.nan)
     columns = {
-        key: rows.values[names.index(name)] if name is not None else np.full(rows.length, np.nan)
-        for key, name in found.items()
+        key: rows.columns[names.index(name)].values if name is not None else unknown for key, name in found.items()
     }
-    utc, time_problems = _utc(path.name, columns["time"], rows.cells[time])
+    utc, time_problems = _utc(path.name, columns["time"], rows.columns[time].cells)
     t = seconds_since_first(utc)
     gnss, problems = _fixes(path.name, head, columns, t, utc)
     imu, imu_problems = imu_of(path.name, [(_inertial(path.name, head, names, rows), t)])
@@ -139,9 +141,20 @@ def read_vbo(path: Path) -> ForeignReading:
         text = f"{path.name}: the inertial channels ({', '.join(VBOX_NAMES)}) are not used: their axes are not known"
         imu_problems = [Problem(IMU_AXES_UNKNOWN, text)]
     used = [name for name in found.values() if name is not None and name != found["time"]]
-    unread = [unread_note(path.name, name, rows.unread[names.index(name)]) for name in used]
-    problems = [*rows.problems(path.name), *(note for note in unread if note), *time_problems, *imu_problems, *problems]
+    unread = [unread_note(path.name, name, rows.columns[names.index(name)].unread) for name in used]
+    problems = [*rows.problems, *(note for note in unread if note), *time_problems, *imu_problems, *problems]
     return ForeignReading(gnss, problems, imu)
+
+
+def _lines_above_data(path: Path) -> list[str]:
+    """The lines above [data]. Raises SessionError where there is no such line."""
+    lines = text_head(path, LONGEST_HEAD).split("\n")
+    place = next((i for i, line in enumerate(lines) if line.strip().lower() == "[data]"), None)
+    if place is None:
+        if not any(line.strip("\ufeff ") for line in lines):
+            raise SessionError(f"{path.name}: the file is empty; expected {WHAT}")
+        raise SessionError(f"{path.name}: no rows; not, or not a whole, {WHAT}")
+    return [line.strip("\ufeff") for line in lines[:place]]
 
 
 def _inertial(file: str, head: _Head, names: Sequence[str], rows: Rows) -> Sheet:
@@ -152,7 +165,7 @@ def _inertial(file: str, head: _Head, names: Sequence[str], rows: Rows) -> Sheet
     return sheet_of(
         file,
         [
-            Column(axis, rows.values[names.index(name)], head.unit_of(name) or usual[axis[0]])
+            Column(axis, rows.columns[names.index(name)].values, head.unit_of(name) or usual[axis[0]])
             for name, axis in called
             if name in names
         ],
@@ -267,8 +280,7 @@ def _day(match: re.Match[str]) -> float:
 
 def own_lines(path: Path) -> tuple[tuple[TimingLine, TimingLine], ...]:
     """Return the lines of [laptiming] without reading the data: each with longitude first, and with latitude first."""
-    lines, _ = head_of(path, lambda line: line.strip().lower() == "[data]", WHAT)
-    found = [match for text in _sections(lines[:-1]).get("laptiming", []) if (match := LINE.match(text))]
+    found = [match for text in _sections(_lines_above_data(path)).get("laptiming", []) if (match := LINE.match(text))]
     return tuple((_line_of(match, True), _line_of(match, False)) for match in found)
 
 
