@@ -12,6 +12,7 @@ from smoother.errors import SessionError
 from smoother.samples import Channel, Problem, RawMag, WheelSpeed
 from smoother.session.checks.table import Check, Finding, OneStream, dropped, run
 from smoother.session.csv_form import require_clock
+from smoother.session.fix_columns import ABSURD_SPEED
 from smoother.session.readers.channels import channel_of, distinct
 from smoother.session.rows import in_time_order
 from smoother.session.tables import read_header, read_table
@@ -19,7 +20,6 @@ from smoother.session.time_unit import UNITS, in_seconds, lasts_like, unit_by_ra
 
 FIELD_COLUMNS = ("mx", "my", "mz")
 ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares of more overflow
-ABSURD_SPEED = 150.0  # m/s; nothing with wheels that is logged here is as fast
 
 
 @dataclass(frozen=True, eq=False)

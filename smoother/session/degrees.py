@@ -7,10 +7,10 @@ is likely is named with its remedy, in place of a smooth track in the wrong sea.
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from smoother.arrays import Array, IntArray
 from smoother.errors import SessionError
+from smoother.session.checks.velocity import Ways, ways_of
 from smoother.session.fix_columns import METRES_PER_DEGREE, FixColumns
 from smoother.units import DEG
 
@@ -19,15 +19,8 @@ LARGEST = (90.0, 360.0)  # deg of latitude, of longitude
 LARGEST_OF_MINUTES = (9000.0, 18000.0)  # of 90 and 180 degrees in NMEA's form, 9000.0 and 18000.0
 BEYOND_ANY_UNIT = 1e10  # of a position as written; more is a damaged number, with which nothing can be computed
 LEAST_COUNT = 1e5  # of a degree's 1e-5, 1e-6 or 1e-7; what is less is no integer form of any place
-BASELINE = 1.0  # s over which a way is compared with the velocity
-LONGEST_BASELINE = 3.0  # s
-FEWEST_WAYS = 20
-LEAST_WAY = 1.0  # m of each of them, by the velocity
-AGREES, DISAGREES = 0.3, 0.6  # of the way, off by less or more; a late fix in a hairpin is off by as much
-JUMP = 500.0  # m in BASELINE; no vehicle drives as far
+AGREES, DISAGREES = 0.3, 0.6  # of the velocity, off by less or more; a late fix in a hairpin is off by as much
 STANDSTILL = 50.0  # m on which a kart without velocities does not drive, and which in radians are 3 km
-
-_Ways = tuple[IntArray, IntArray, npt.NDArray[np.complex128]]
 
 
 def require_degrees(file: str, c: FixColumns) -> None:
@@ -47,19 +40,18 @@ def scale_by_way(c: FixColumns, scales: Sequence[tuple[float, float]]) -> tuple[
     None where it is as it stands, where none does, and where too few velocities tell.
     """
     c = c.take(_rows_with_position(c))
-    sent = _way_by_velocity(c) if c.t.size >= FEWEST_ROWS else None
-    if sent is None or _off_way(c, sent) < DISAGREES:
+    ways = ways_of(c)
+    if ways is None or _off_way(c, ways) < DISAGREES:
         return None
     lat, lon = float(np.median(np.abs(c.lat_deg))), float(np.median(np.abs(c.lon_deg)))
     on_earth = [(a, b) for a, b in scales if abs(a) * lat <= 90.0 and abs(b) * lon <= 180.0]
-    return next((scale for scale in on_earth if _off_way(c, sent, *scale) < AGREES), None)
+    return next((scale for scale in on_earth if _off_way(c, ways, *scale) < AGREES), None)
 
 
-def _off_way(c: FixColumns, sent: _Ways, lat_scale: float = 1.0, lon_scale: float = 1.0) -> float:
-    """How far, as a share of it, the way of the positions, times the scales, is off the one that was sent."""
-    first, last, way = sent
-    by_position = _way_by_position(lat_scale * c.lat_deg, lon_scale * c.lon_deg, first, last)
-    return float(np.sum(np.abs(by_position - way)) / np.sum(np.abs(way)))
+def _off_way(c: FixColumns, ways: Ways, lat_scale: float = 1.0, lon_scale: float = 1.0) -> float:
+    """How far, as a share of it, the velocity of the positions, times the scales, mostly is off the one sent."""
+    by_position = ways.by_position(lat_scale * c.lat_deg, lon_scale * c.lon_deg)
+    return float(np.median(np.abs(by_position - ways.sent) / np.abs(ways.sent)))
 
 
 def _rows_with_position(c: FixColumns) -> IntArray:
@@ -97,38 +89,6 @@ def _cause_by_way(c: FixColumns) -> str:
     """Radians, where positions hardly move as degrees and drive as radians; else ""."""
     may_be_radians = bool(np.all(np.abs(c.lat_deg) <= 90.0 * DEG) and np.all(np.abs(c.lon_deg) <= 180.0 * DEG))
     return _RADIANS if may_be_radians and _stands_still(c) and not _stands_still(c, 1.0 / DEG) else ""
-
-
-def _way_by_velocity(c: FixColumns) -> _Ways | None:
-    """First and last rows (K,) of stretches of about BASELINE, and the ways (K,), east + i north, m, that the
-    velocities make of them; None if there are too few."""
-    with np.errstate(invalid="ignore"):
-        course = np.radians(c.course_deg)
-        told = c.speed * (np.sin(course) + 1j * np.cos(course))
-        velocity = np.where(np.isfinite(c.velocity_north), c.velocity_east + 1j * c.velocity_north, told)
-        dt = np.diff(c.t)
-        usual = float(np.median(dt[dt > 0.0])) if np.any(dt > 0.0) else np.nan
-    if not usual > 0.0 or usual > BASELINE:
-        return None
-    velocity[~np.isfinite(velocity)] = 0.0  # at rest, receivers leave it empty
-    dt = np.where((dt > 0.0) & (dt < LONGEST_BASELINE), dt, 0.0)
-    place = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * dt)])
-    stride = max(1, round(BASELINE / usual))
-    last = np.arange(stride, c.t.size, stride)
-    first = last - stride
-    way, time = place[last] - place[first], c.t[last] - c.t[first]
-    good = (np.abs(way) > LEAST_WAY) & (time > 0.0) & (time < LONGEST_BASELINE)
-    if np.count_nonzero(good) < FEWEST_WAYS:
-        return None
-    return first[good], last[good], way[good]
-
-
-def _way_by_position(lat_deg: Array, lon_deg: Array, first: IntArray, last: IntArray) -> npt.NDArray[np.complex128]:
-    """Ways (K,), east + i north, m, between rows; each as long as a jump can be at most, so that one cannot decide."""
-    east = np.mod(lon_deg[last] - lon_deg[first] + 180.0, 360.0) - 180.0
-    way = METRES_PER_DEGREE * (east * np.cos(np.radians(lat_deg[first])) + 1j * (lat_deg[last] - lat_deg[first]))
-    size = np.abs(way)
-    return np.where(size > JUMP, JUMP * way / np.maximum(size, JUMP), way)
 
 
 def _stands_still(c: FixColumns, scale: float = 1.0) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 
+ABSURD_SPEED = 150.0  # m/s, 540 km/h
 METRES_PER_DEGREE = 111_195.0  # of latitude; good to 0.5 %, enough for screening
 
 

@@ -5,9 +5,9 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
-from smoother.session.checks.fixes import ABSURD_SPEED, MADE_UP, PATH_CHECKS, ROW_CHECKS
+from smoother.session.checks.fixes import MADE_UP, PATH_CHECKS, ROW_CHECKS
 from smoother.session.checks.table import run
-from smoother.session.fix_columns import FixColumns, FixRows
+from smoother.session.fix_columns import ABSURD_SPEED, FixColumns, FixRows
 from smoother.session.rows import in_time_order
 from smoother.words import counted
 

@@ -7,11 +7,10 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.session.checks.table import Check, Finding, dropped
 from smoother.session.checks.velocity import VELOCITY_CHECKS
-from smoother.session.fix_columns import FixColumns, FixRows, metres, sent_speed, way_from_before
+from smoother.session.fix_columns import ABSURD_SPEED, FixColumns, FixRows, metres, sent_speed, way_from_before
 from smoother.session.interpolated import on_drawn_lines
 from smoother.words import counted
 
-ABSURD_SPEED = 150.0  # m/s, 540 km/h
 ABSURD_SATELLITES = 100
 ABSURD_HEIGHT = (-1000.0, 20000.0)  # m
 UNUSABLE_SIGMA = 1000.0  # m; a receiver that says this of itself has no fix

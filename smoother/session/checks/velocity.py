@@ -1,31 +1,27 @@
 """Checks of the velocity that a receiver sends, held against the positions it sends with it.
 
 A speed in another unit, a course that points elsewhere: the positions are right without them, and the column is not
-used. A velocity that agrees is left as it is. Over a second, noise of the positions is less than what a kart does; how
-much there is of it, the calmest steps show.
+used. A velocity that agrees is left as it is. Velocities and positions are compared over about a second, and the steps
+are chosen by the velocities alone: chosen by the positions, noise would make a slow kart seem a fast one.
 """
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, IntArray
 from smoother.session.checks.table import Check, Finding
-from smoother.session.fix_columns import FixColumns, FixRows, metres, sent_speed
+from smoother.session.fix_columns import ABSURD_SPEED, METRES_PER_DEGREE, FixColumns, FixRows, metres, sent_speed
+from smoother.session.rows import longest_increasing
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
 
-FEWEST_STEPS = 20  # by which velocities are judged
 BASELINE = 1.0  # s; over less, noise of the positions counts
-FASTER = 5.0  # m/s; and in slower motion
-LEAST_TIME = 10.0  # s of steps that tell a direction
-CALM = 25.0  # per cent of the rows in which noise shows alone
-# m/s over BASELINE for that percentile of roughness, m: a Rayleigh deviate of 0.759 sigmas, of which a weighted sum of
-# four positions has sqrt(20) / 3, and the difference of two sqrt(2)
-NOISE_OF_CALM = math.sqrt(2.0) / (0.759 * math.sqrt(20.0) / 3.0) / BASELINE
-NOISE_TIMES = 2.5  # noise of a step: slower or closer to the column than that, it tells nothing
+FEWEST_STEPS = 20
+FASTER = 5.0  # m/s
+LEAST_TIME = 10.0  # s of steps that show a direction
 UNIT_RATIOS = {  # what speeds in one unit are, read as another, in true ones
     "km/h": 1.0 / KMH,
     "mph": 1.0 / MPH,
@@ -36,83 +32,59 @@ UNIT_RATIOS = {  # what speeds in one unit are, read as another, in true ones
 }
 SAME_UNIT = 0.02  # share; real receivers are within 0.015 of their positions, and the nearest two of them 5 % apart
 SAME_SPEED = (0.85, 1.18)  # speed by that of the positions; beyond, it is wrong whatever explains it
-ABSURD_SHARE = 10.0  # and more are speeds that are said to be impossible
+ABSURD_SHARE = 10.0  # and more are speeds that are reported as impossible
 SAME_SPEED_OF_CHORDS = 1.5  # likewise where positions come no faster than BASELINE: a chord is shorter than its bend
-ENOUGH_STEPS = 2000  # evenly taken from a long session
 MOVING = 1.0  # m/s; slower, receivers leave the course empty
-COURSE_OFF = 45.0  # deg; a bend within the delay between velocity and position mostly makes less
+LEAST_GAIN, SAME_GAIN = 0.5, 0.85  # of velocity along the way of the positions; a course as close is written so
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, -0.25, -0.5)  # s by which velocities come behind their positions, or before them
-COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
-
-
 DIRECTION = ("course_deg", "velocity_north", "velocity_east", "velocity_up")
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
-    """Displacement over about BASELINE from each row (N,): m/s north and east; `whole` where there is one.
+class Ways:
+    """Stretches of about BASELINE in which the vehicle drives: rows first and last (K,), and how long each is (K,) s.
 
-    speed (N,) m/s: of the way by the row in the middle; round a tight bend that is longer than straight across.
-    roughness (N,) m: how far positions are off a parabola through their neighbours.
+    sent (K,) : mean velocity, m/s, north + i east, by the velocities that were sent.
     """
 
-    t: Array  # s, half way
-    north: Array
-    east: Array
-    speed: Array
-    whole: BoolArray
-    roughness: Array
+    first: IntArray
+    last: IntArray
+    time: Array
+    sent: npt.NDArray[np.complex128]
 
-    def noise(self, rows: BoolArray | slice) -> float:
-        """Noise, m/s per axis, of a step in these rows, by the calmest of them: bends are no parabolas either."""
-        return float(np.percentile(self.roughness[rows], CALM, method="nearest")) * NOISE_OF_CALM
+    def gain(self, lat_deg: Array, lon_deg: Array) -> float:
+        """Velocity of positions (N,) along the one sent, as a share of it, mostly: 1 where they agree."""
+        return float(np.median((self.by_position(lat_deg, lon_deg) / self.sent).real))
 
-    def told(self, noise: float) -> BoolArray:
-        """Mask (N,) of the steps that say where the kart goes, and how fast."""
-        return self.whole & (np.hypot(self.north, self.east) > max(FASTER, NOISE_TIMES * noise))
-
-    def angle_from(self, course_deg: Array | float) -> Array:
-        """How far (N,) deg, 0 to 180, the displacement points from the course (N,) half way."""
-        return np.asarray(np.abs(np.mod(self._course_deg - course_deg + 180.0, 360.0) - 180.0))
-
-    @property
-    def _course_deg(self) -> Array:
-        return np.degrees(np.arctan2(self.east, self.north))
+    def by_position(self, lat_deg: Array, lon_deg: Array) -> npt.NDArray[np.complex128]:
+        """Mean velocity (K,) m/s, north + i east, by positions (N,)."""
+        north = lat_deg[self.last] - lat_deg[self.first]
+        east = np.mod(lon_deg[self.last] - lon_deg[self.first] + 180.0, 360.0) - 180.0
+        way = METRES_PER_DEGREE * (north + 1j * east * np.cos(np.radians(lat_deg[self.first])))
+        return np.asarray(way / self.time, dtype=np.complex128)
 
 
-def steps_of(t: Array, c: FixColumns) -> Steps:
-    """Return the steps of the positions of fixes at t (N,) s, in order."""
-    north, east = metres(c)
-    row = np.arange(t.size)
-    last = np.minimum(np.searchsorted(t, t + BASELINE), t.size - 1)
-    run = t[last] - t
-    whole = (run > 0.5 * BASELINE) & (run < 2.0 * BASELINE)
-    size = np.where(whole, run, 1.0)
-    v_north, v_east = (north[last] - north) / size, (east[last] - east) / size
-    middle = (row + last) // 2
-    halves = (np.hypot(north[two] - north[one], east[two] - east[one]) for one, two in ((row, middle), (middle, last)))
-    return Steps(t + 0.5 * run, v_north, v_east, sum(halves) / size, whole, _roughness(t, north, east))
-
-
-def _roughness(t: Array, north: Array, east: Array) -> Array:
-    """How far (N,) m the position half a BASELINE on is off the parabola through three others; 0 at the end."""
-    stride = max(1, round(0.5 * BASELINE / float(np.median(np.diff(t))))) if t.size > 1 else 1
-    count = max(0, t.size - 3 * stride)
-    one, *others = (slice(k * stride, k * stride + count) for k in (1, 0, 2, 3))
-    off = np.zeros((2, t.size))
-    off[:, :count] = north[one], east[one]
-    for at in others:  # Lagrange's form of the parabola
-        weight = np.ones(count)
-        for root in others:
-            if root != at:
-                weight *= (t[one] - t[root]) / (t[at] - t[root])
-        off[:, :count] -= weight * np.stack([north[at], east[at]])
-    return np.asarray(np.hypot(*off))
-
-
-def distance(north: Array, east: Array, first: IntArray, last: IntArray) -> Array:
-    """Straight from rows first to rows last (M,) of positions (N,) m."""
-    return np.asarray(np.hypot(north[last] - north[first], east[last] - east[first]))
+def ways_of(c: FixColumns, delay: float = 0.0) -> Ways | None:
+    """The ways of a vehicle whose velocities come `delay` s late; None where too few velocities are known."""
+    velocity = sent_speed(c) * np.exp(1j * np.radians(c.course_deg))
+    velocity = np.where(np.isfinite(c.velocity_north), c.velocity_north + 1j * c.velocity_east, velocity)
+    velocity = np.where(np.isfinite(velocity) | ~(sent_speed(c) <= MOVING), velocity, 0.0)
+    rows = np.flatnonzero(np.isfinite(velocity) & np.isfinite(c.t) & ~c.is_blank)
+    rows = rows[longest_increasing(c.t[rows])]
+    if rows.size < FEWEST_STEPS:
+        return None
+    t, v = c.t[rows], velocity[rows]
+    later = np.searchsorted(t, t + BASELINE)
+    first = np.flatnonzero(later < t.size)
+    last = later[first]
+    time = t[last] - t[first]
+    travelled = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        sent = (np.interp(t[last] + delay, t, travelled) - np.interp(t[first] + delay, t, travelled)) / time
+        good = (time < 2.0 * BASELINE) & (np.abs(sent) > FASTER) & (np.abs(sent) < ABSURD_SPEED)
+    if np.count_nonzero(good) < FEWEST_STEPS or np.ptp(t[first[good]]) < LEAST_TIME:
+        return None
+    return Ways(rows[first[good]], rows[last[good]], time[good], sent[good])
 
 
 def no_course(f: FixRows) -> Finding | None:
@@ -131,7 +103,7 @@ def speed_unit(f: FixRows) -> Finding | None:
     Speeds that are 3.6 times too large would pass for fixes that are noisy and late.
     """
     c, every = f.columns, np.ones(f.columns.t.size, dtype=np.bool_)
-    share, highest = _share_of_speed(c.t, c)
+    share, highest = _share_of_speed(c)
     if not (share < SAME_SPEED[0] or highest < share < ABSURD_SHARE):
         return None
     unit = next((name for name, ratio in UNIT_RATIOS.items() if abs(share / ratio - 1.0) < SAME_UNIT), None)
@@ -143,76 +115,50 @@ def speed_unit(f: FixRows) -> Finding | None:
     return Finding(f"{text}, as if in {unit}; converted", scale=scale, blank={"velocity_up": every})
 
 
-def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
-    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it; and the
-    largest share that is no contradiction.
-
-    Which steps tell is chosen by what was sent: chosen by the positions, noise would make a slow kart seem a fast one.
+def _share_of_speed(c: FixColumns) -> tuple[float, float]:
+    """Speed as sent divided by speed from the positions, NaN where too few steps show it or they do not agree about it;
+    and the largest share that is no contradiction.
     """
     speed = sent_speed(c)
-    north, east = metres(c)
-    later = np.searchsorted(t, t + BASELINE)
-    first = np.flatnonzero((later < t.size) & np.isfinite(speed))
-    first = first[:: max(1, first.size // ENOUGH_STEPS)]
+    later = np.searchsorted(c.t, c.t + BASELINE)
+    first = np.flatnonzero((later < c.t.size) & np.isfinite(speed))
     last = later[first]
-    run = t[last] - t[first]
+    run = c.t[last] - c.t[first]
+    place = np.array(metres(c))
     middle = (first + last) // 2
-    travelled = distance(north, east, first, middle) + distance(north, east, middle, last)
-    travelled /= run
-    within = np.stack([first, last + 1], axis=1).ravel()  # a window, what lies up to the next one, a window ..
-    sent = np.add.reduceat(np.append(speed, 0.0), within)[::2] / (last + 1 - first)
-    told = (run < 2.0 * BASELINE) & np.isfinite(sent)
-    told &= sent > 0.5 * np.percentile(sent[told], 95.0) if np.any(told) else False
-    if np.count_nonzero(told) < FEWEST_STEPS or not np.median(travelled[told]) > FASTER:
+    travelled = sum(np.hypot(*(place[:, b] - place[:, a])) for a, b in ((first, middle), (middle, last))) / run
+    sums = np.append(0.0, np.cumsum(np.nan_to_num(speed, posinf=0.0)))
+    sent = (sums[last + 1] - sums[first]) / (last + 1 - first)
+    good = (run < 2.0 * BASELINE) & np.isfinite(speed[last])
+    good &= sent > 0.5 * np.percentile(sent[good], 95.0) if np.any(good) else False
+    if np.count_nonzero(good) < FEWEST_STEPS or not np.median(travelled[good]) > FASTER:
         return float("nan"), np.inf
     with np.errstate(divide="ignore"):
-        low, share, high = np.percentile(sent[told] / travelled[told], (25.0, 50.0, 75.0), method="nearest")
-    highest = SAME_SPEED[1] if np.median((last - first)[told]) >= 2 else SAME_SPEED_OF_CHORDS
+        low, share, high = np.percentile(sent[good] / travelled[good], (25.0, 50.0, 75.0), method="nearest")
+    highest = SAME_SPEED[1] if np.median((last - first)[good]) >= 2 else SAME_SPEED_OF_CHORDS
     return (float(share) if high < 1.25 * low else float("nan")), highest
 
 
 def wrong_course(f: FixRows) -> Finding | None:
-    """A direction that mostly is another than that in which the positions go."""
+    """A direction that is another than that in which the positions go."""
     c = f.columns
-    steps, course, said, off = _course_off(c)
-    if not off > COURSE_OFF:
+    gain = _best_gain(c)
+    if gain is None or gain > LEAST_GAIN:
         return None
-    others = ((how, _mostly_off(c.t, steps, other(course), said)) for how, other in _OTHER_COURSES.items())
-    hint = next((f", as if {how}" for how, rest in others if rest < COURSE_ALIKE), "")
-    every = np.ones(c.t.size, dtype=np.bool_)
-    text = f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used"
-    return Finding(text, blank=dict.fromkeys(DIRECTION, every))
-
-
-def _says_slow(c: FixColumns) -> BoolArray:
-    """Mask (N,) of the rows by whose speed the kart hardly moves: their course means nothing and may be an old one."""
-    speed = sent_speed(c)
-    return np.asarray(speed < 0.5 * FASTER)
-
-
-def _course_off(c: FixColumns) -> tuple[Steps, Array, BoolArray, float]:
-    """Steps of the way, course (N,) deg that is sent, which steps say where the kart goes, and how far off it is, deg;
-    NaN where too few say so."""
     has_parts = np.isfinite(c.velocity_north) & np.isfinite(c.velocity_east)
     course = np.where(has_parts, np.degrees(np.arctan2(c.velocity_east, c.velocity_north)), c.course_deg)
-    steps = steps_of(c.t, c)
-    known = steps.whole & np.isfinite(course) & ~_says_slow(c)
-    said = known & steps.told(steps.noise(known)) if np.any(known) else known
-    if np.count_nonzero(said) < FEWEST_STEPS or np.ptp(c.t[said]) < LEAST_TIME:
-        return steps, course, said, np.nan
-    return steps, course, said, _mostly_off(c.t, steps, course, said)
+    unknown = np.full(c.t.size, np.nan)
+    plain = replace(c, speed=sent_speed(c), velocity_north=unknown, velocity_east=unknown)
+    gains = ((how, _best_gain(replace(plain, course_deg=other(course)))) for how, other in _OTHER_COURSES.items())
+    hint = next((f", as if {how}" for how, other in gains if (other or 0.0) > SAME_GAIN), "")
+    text = f"course is mostly {np.degrees(np.arccos(max(gain, -1.0))):.0f} deg off the way of the positions{hint}"
+    return Finding(f"{text}; not used", blank=dict.fromkeys(DIRECTION, np.ones(c.t.size, dtype=np.bool_)))
 
 
-def _mostly_off(t: Array, steps: Steps, course_deg: Array, told: BoolArray) -> float:
-    """How far, deg, the course (N,) mostly is off the way of the positions, early or late as it may be."""
-    angle = np.radians(course_deg)
-    known = np.isfinite(angle)
-    north, east = np.cos(angle[known]), np.sin(angle[known])
-    off = np.inf
-    for delay in DELAYS:
-        at = [np.interp(steps.t + delay, t[known], part) for part in (north, east)]
-        off = min(off, float(np.median(steps.angle_from(np.degrees(np.arctan2(at[1], at[0])))[told])))
-    return off
+def _best_gain(c: FixColumns) -> float | None:
+    """Gain of the positions by the velocities, early or late as these may be; None where too few are known."""
+    gains = [ways.gain(c.lat_deg, c.lon_deg) for delay in DELAYS if (ways := ways_of(c, delay)) is not None]
+    return max(gains, default=None)
 
 
 _OTHER_COURSES: dict[str, Callable[[Array], Array]] = {
