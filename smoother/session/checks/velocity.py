@@ -156,9 +156,12 @@ def wrong_course(f: FixRows) -> Finding | None:
 
 
 def _best_gain(c: FixColumns) -> float | None:
-    """Gain of the positions by the velocities, early or late as these may be; None where too few are known."""
-    gains = [ways.gain(c.lat_deg, c.lon_deg) for delay in DELAYS if (ways := ways_of(c, delay)) is not None]
-    return max(gains, default=None)
+    """Gain of the positions by the velocities, early or late as these may be; None where too few of them are known, or
+    the positions hardly move."""
+    every = [ways for delay in DELAYS if (ways := ways_of(c, delay)) is not None]
+    if not every or not np.median(np.abs(every[0].by_position(c.lat_deg, c.lon_deg))) > FASTER:
+        return None
+    return max(ways.gain(c.lat_deg, c.lon_deg) for ways in every)
 
 
 _OTHER_COURSES: dict[str, Callable[[Array], Array]] = {
