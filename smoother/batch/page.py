@@ -16,7 +16,19 @@ from xml.etree.ElementTree import Element
 from smoother.batch.entries import Best, Entry, Track, report_of
 from smoother.batch.task import ERROR_LOG, REPORT, is_there
 from smoother.laps.clock import local_day
-from smoother.report.page_html import DASH, Child, element, lap_clock, number, parted, row, table, whole_page
+from smoother.report.page_html import (
+    DASH,
+    Child,
+    card,
+    element,
+    lap_clock,
+    number,
+    parted,
+    row,
+    settings,
+    table,
+    whole_page,
+)
 from smoother.units import KMH
 from smoother.words import counted, duration
 
@@ -58,15 +70,8 @@ def _header(title: str, entries: Sequence[Entry], now: dt.datetime) -> Element:
     days = sorted({start[:10] for entry in entries if (start := _start(entry)) != DASH})
     span = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}" if days else ""
     said = " · ".join(text for text in (span, f"written {local_day(now.timestamp())}") if text)
-    theme = _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
-    units = _select("units", "Speed", [("km/h", "km/h"), ("mph", "mph")])
     words = element("div", element("h1", title), element("p", said))
-    return element("header", words, element("div", units, theme, class_="settings"))
-
-
-def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
-    made = [element("option", text, value=value) for value, text in options]
-    return element("label", f"{label} ", element("select", *made, id=name))
+    return element("header", words, settings())
 
 
 def _contents(tracks: Sequence[Track], wrong: Sequence[Entry]) -> Element:
@@ -81,19 +86,19 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
     failed = len(states) - good - doubtful - waiting
     parts = [f"{doubtful} not to be trusted"] if doubtful else []
     parts += [f"{waiting} still waiting"] if waiting else []
-    cards = [_card("Sessions", str(len(entries)), f"{good} ok" + "".join(f", {part}" for part in parts))]
+    cards = [card("Sessions", str(len(entries)), f"{good} ok" + "".join(f", {part}" for part in parts))]
     mark = element("span", str(failed), class_="bad" if failed else "good")
-    cards.append(_card("Without a result", mark, element("a", "see why", href="#wrong") if failed else "none"))
+    cards.append(card("Without a result", mark, element("a", "see why", href="#wrong") if failed else "none"))
     for track in tracks[:MOST_TILES]:
         if bests := track.karts or track.drivers:
             title = f"Best lap: {track.name}" if len(tracks) > 1 else "Best lap"
-            cards.append(_card(title, lap_clock(bests[0].time), _whose(bests[0], bool(track.karts))))
+            cards.append(card(title, lap_clock(bests[0].time), _whose(bests[0], bool(track.karts))))
     laps = sum(entry.facts.laps or 0 for entry in entries if entry.counts)
     karts = {entry.kart for entry in entries if entry.counts and entry.kart}
-    cards.append(_card("Laps", str(laps), f"that count, of {counted(len(karts), 'kart')}" if karts else "that count"))
+    cards.append(card("Laps", str(laps), f"that count, of {counted(len(karts), 'kart')}" if karts else "that count"))
     metres = sum(entry.facts.distance_m or 0.0 for entry in entries)
     lasts = sum(entry.facts.duration_s or 0.0 for entry in entries)
-    cards.append(_card("Distance", f"{metres / 1000.0:.1f} km", f"in {duration(lasts)}"))
+    cards.append(card("Distance", f"{metres / 1000.0:.1f} km", f"in {duration(lasts)}"))
     return element("section", element("dl", *cards, class_="cards"), id="summary")
 
 
@@ -102,10 +107,6 @@ def _whose(best: Best, is_of_kart: bool) -> str:
     if best.who is None:
         return _short(best.entry)
     return f"kart {best.who}" if is_of_kart and not best.who.lower().startswith("kart") else best.who
-
-
-def _card(name: str, value: Child, below: Child) -> Element:
-    return element("div", element("dt", name), element("dd", value, element("small", below)), class_="card")
 
 
 # ---- best laps ------------------------------------------------------------------------------------------------------

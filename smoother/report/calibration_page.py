@@ -10,8 +10,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from smoother.documents import replacing
-from smoother.report.page_charts import styled_alike, theme
-from smoother.report.page_html import Child, element, row, table
+from smoother.report.page_charts import styled_alike
+from smoother.report.page_html import Child, element, row, table, theme
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from smoother.laps.results import Corner, LapAnalysis, Statistics
 from smoother.laps.sigma import are_real, significance_threshold
 from smoother.laps.stored import Stored
 from smoother.report.files import replacing
-from smoother.report.page_charts import grip, linked, picker, settings, styled
+from smoother.report.page_charts import grip, linked, picker, styled
 from smoother.report.page_data import (
     Document,
     channel_traces,
@@ -34,7 +34,7 @@ from smoother.report.page_data import (
     palette,
     stretches,
 )
-from smoother.report.page_html import DASH, Child, element, lap_clock, number, parted, row, table
+from smoother.report.page_html import DASH, Child, element, lap_clock, number, parted, row, settings, table
 from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell, usual_cell
 from smoother.words import counted
 

@@ -26,22 +26,6 @@ def _text(*names: str) -> str:
     return "".join((TEMPLATE / name).read_text(encoding="utf-8") for name in names)
 
 
-def settings() -> Element:
-    """Unit of speed, and theme."""
-    units = _select("units", "Speed", [("km/h", "km/h"), ("mph", "mph")])
-    return element("div", units, theme(), class_="settings")
-
-
-def theme() -> Element:
-    """Light, dark, or the theme of the device."""
-    return _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
-
-
-def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
-    made = [element("option", text, value=value) for value, text in options]
-    return element("label", f"{label} ", element("select", *made, id=name))
-
-
 def figure(name: str, label: str) -> Element:
     """Placeholder of a chart, which the script draws."""
     return element("figure", id=name, data_label=label)

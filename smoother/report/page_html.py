@@ -119,3 +119,24 @@ def with_sigma(value: float, sigma: float, digits: int, signed: bool = False) ->
     """Return value ± sigma, or the value alone."""
     text = number(value, digits, signed)
     return text if text == DASH or not (math.isfinite(sigma) and sigma > 0.0) else f"{text} ± {number(sigma, digits)}"
+
+
+def settings() -> Element:
+    """Unit of speed, and theme."""
+    units = _select("units", "Speed", [("km/h", "km/h"), ("mph", "mph")])
+    return element("div", units, theme(), class_="settings")
+
+
+def theme() -> Element:
+    """Light, dark, or the theme of the device."""
+    return _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
+
+
+def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
+    made = [element("option", text, value=value) for value, text in options]
+    return element("label", f"{label} ", element("select", *made, id=name))
+
+
+def card(name: str, value: Child, below: Child) -> Element:
+    """One of the main results of a page: its name, its value, and a line below it."""
+    return element("div", element("dt", name), element("dd", value, element("small", below)), class_="card")

@@ -14,9 +14,8 @@ from smoother.laps.clock import chance_text, local_day, local_time, local_zone, 
 from smoother.laps.lost import Loss, largest_losses, likely_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.top_speed import top_speed
-from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
-from smoother.report.page_html import DASH, Child, element, lap_clock, number, row, table, with_sigma
+from smoother.report.page_html import DASH, Child, card, element, lap_clock, number, row, settings, table, with_sigma
 from smoother.report.summary import distance_driven
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
@@ -98,18 +97,18 @@ def summary(content: PageContent) -> Element:
     cards = []
     if statistics is not None and content.laps is not None and statistics.best_lap is not None:
         cards.append(
-            _card(
+            card(
                 "Best lap",
                 lap_clock(statistics.best),
                 _pm(statistics.best_sigma, content.laps.laps[statistics.best_lap]),
             )
         )
         if np.isfinite(statistics.theoretical):
-            cards.append(_card("Theoretical best", lap_clock(statistics.theoretical), _theoretical(statistics)))
+            cards.append(card("Theoretical best", lap_clock(statistics.theoretical), _theoretical(statistics)))
         if np.isfinite(statistics.rolling):  # point-to-point runs have none
-            cards.append(_card("Rolling best", lap_clock(statistics.rolling), _rolling(statistics)))
+            cards.append(card("Rolling best", lap_clock(statistics.rolling), _rolling(statistics)))
         cards.append(
-            _card(
+            card(
                 "Consistency",
                 spread_text(statistics.spread, counted(statistics.counted, "lap")),
                 _consistency(statistics),
@@ -119,27 +118,23 @@ def summary(content: PageContent) -> Element:
             at = element("a", _where(lost[0], content.laps), href="#lost")
             digits = loss_digits(lost[0].sigma)
             below = element("span", f"± {number(lost[0].sigma, digits)} s, ", at)
-            cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, digits)} s", below))
+            cards.append(card("Most lost in a corner", f"{number(lost[0].lost, digits)} s", below))
     fastest = top_speed(smoothed, content.laps)
     unit, sigma = speed_unit(), fastest.sigma
     below = (
         element("span", "± ", speed_span(sigma, speed_digits(sigma / KMH)), " ", unit) if np.isfinite(sigma) else unit
     )
-    cards.append(_card("Top speed", speed_span(fastest.speed), below))
+    cards.append(card("Top speed", speed_span(fastest.speed), below))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
-    cards.append(_card("Distance", driven, f"in {duration(length)}"))
+    cards.append(card("Distance", driven, f"in {duration(length)}"))
     passed = content.quality.passed
     verdict = "Yes" if passed else "No"
     trust = element("span", verdict, class_="good" if passed else "bad")
-    cards.append(_card("Can I trust this?", trust, element("a", "see why", href="#quality")))
+    cards.append(card("Can I trust this?", trust, element("a", "see why", href="#quality")))
     missing = [element("li", text) for text in _missing(content)]
     note = [element("h3", "What is missing, and why"), element("ul", *missing)] if missing else []
     return element("section", element("dl", *cards, class_="cards"), *note, id="summary")
-
-
-def _card(name: str, value: Child, below: Child) -> Element:
-    return element("div", element("dt", name), element("dd", value, element("small", below)), class_="card")
 
 
 def _pm(sigma: float, lap: Lap) -> str:
