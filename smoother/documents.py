@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +21,23 @@ def load_toml(path: Path, remedy: str = "mend that line") -> dict[str, Any]:
     """Read a TOML file. Raises ConfigError, one line, where it is too large, too deep, unreadable, or none."""
     import tomllib  # most sessions state nothing, and need not wait for it
 
-    try:
-        return tomllib.loads(_text(path))
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path.name}: {_not_utf8(error)}") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path.name}: not valid TOML ({_reason(error)}); {remedy}") from error
+    document: dict[str, Any] = _parsed(path, path.name, tomllib.loads, "TOML", f"; {remedy}")
+    return document
 
 
 def load_json(path: Path) -> Any:
     """Read a JSON file. Raises ConfigError, one line, where it is too large, too deep, unreadable, or none."""
+    return _parsed(path, str(path), json.loads, "JSON")
+
+
+def _parsed(path: Path, name: str, parse: Callable[[str], Any], kind: str, remedy: str = "") -> Any:
     try:
-        return json.loads(_text(path))
+        return parse(_text(path))
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: {_not_utf8(error)}") from error
+        line = error.object.count(b"\n", 0, error.start) + 1  # as older editors of Windows write umlauts
+        raise ConfigError(f"{name}: line {line} is not in UTF-8; save it as UTF-8") from error
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: not valid JSON ({_reason(error)})") from error
+        raise ConfigError(f"{name}: not valid {kind} ({_reason(error)}){remedy}") from error
 
 
 def _text(path: Path) -> str:
@@ -54,12 +55,6 @@ def read_bounded(path: Path, error: type[SmootherError], too_large: str) -> byte
     if len(data) > LARGEST:
         raise error(too_large)
     return data
-
-
-def _not_utf8(error: UnicodeDecodeError) -> str:
-    """What to say of a text of another encoding, as older editors of Windows write their umlauts."""
-    line = error.object.count(b"\n", 0, error.start) + 1
-    return f"line {line} is not in UTF-8; save it as UTF-8"
 
 
 def _reason(error: Exception) -> str:

@@ -43,7 +43,7 @@ from smoother.words import counted
 if TYPE_CHECKING:
     from smoother.batch.entries import Entry
     from smoother.batch.outcome import Outcome
-    from smoother.batch.task import Limits, Task
+    from smoother.batch.task import Task
 
 EXIT_BUG = 1
 INDEX_EVERY = 20.0  # s between two versions of the index while sessions run
@@ -90,6 +90,8 @@ def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: b
     """
     from smoother.batch.find import find_sessions
     from smoother.batch.index import DOCUMENT, PAGE
+    from smoother.batch.local import cores
+    from smoother.batch.task import Limits
 
     require_sessions(folders, "smooth batch")
     with progress_on_terminal(not as_json) as progress:
@@ -99,9 +101,10 @@ def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: b
         warn(problem)
     if not found.tasks:
         raise UsageError(f"{', '.join(map(str, folders))}: no session found; see `smooth --help`")
-    tasks = [replace(task, arguments=_arguments(given), limits=_limits(given)) for task in found.tasks]
+    limits = Limits(given["time_limit"], given["memory_limit"])
+    tasks = [replace(task, arguments=_arguments(given), limits=limits) for task in found.tasks]
     directory = (out or (folders[0] if folders[0].is_dir() else folders[0].parent)).resolve()
-    plan = Plan(given["jobs"] or _cores(), given["scheduler"], directory, _title(folders))
+    plan = Plan(given["jobs"] or cores(), given["scheduler"], directory, _title(folders))
     with _stopped_by_signals():
         entries, document = run(tasks, plan, bool(given["again"]), quiet=as_json)
     if as_json:
@@ -120,18 +123,6 @@ def _arguments(given: dict[str, Any]) -> tuple[str, ...]:
     flags = [f"--{name.replace('_', '-')}" for name in ("no_baseline", "no_figures") if given[name]]
     pictures = () if given["pictures"] else ("--no-pictures",)
     return ("--rate", f"{given['rate']:g}", "--solver", given["solver"], *flags, *pictures)
-
-
-def _limits(given: dict[str, Any]) -> Limits:
-    from smoother.batch.task import Limits
-
-    return Limits(given["time_limit"], given["memory_limit"])
-
-
-def _cores() -> int:
-    from smoother.batch.local import cores
-
-    return cores()
 
 
 def _title(folders: tuple[Path, ...]) -> str:

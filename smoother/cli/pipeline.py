@@ -91,11 +91,6 @@ class Estimates:
     every: int = 1
     files: Mapping[str, int] = field(default_factory=dict)
 
-    @property
-    def written(self) -> Trajectory:
-        """The rows of trajectory.csv."""
-        return self.smoothed.every(self.every)
-
 
 @dataclass(frozen=True, eq=False)
 class Result:
