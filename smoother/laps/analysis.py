@@ -143,23 +143,7 @@ def _tied(
 def without_laps(trajectory: Trajectory, *problems: Problem) -> LapAnalysis:
     """Return the analysis of a session without laps, with the reason."""
     n = len(trajectory)
-    return LapAnalysis(
-        laps=(),
-        start_line=None,
-        sector_lines=(),
-        finish_line=None,
-        reference=None,
-        traces=None,
-        corners=(),
-        statistics=None,
-        reference_lap=None,
-        reference_name="",
-        official=(),
-        sigma_source="none",
-        lap_of_row=np.full(n, -1, dtype=np.int64),
-        lap_distance=np.full(n, np.nan),
-        problems=problems,
-    )
+    return LapAnalysis(np.full(n, -1, dtype=np.int64), np.full(n, np.nan), problems=problems)
 
 
 def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) -> LapAnalysis:

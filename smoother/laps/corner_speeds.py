@@ -19,12 +19,12 @@ from smoother.trajectory import Trajectory
 class CornerSpeeds:
     """Speeds (L,) m/s of all laps in one corner, NaN where unknown, each with its sigma (L,) m/s."""
 
-    entry: Array
-    entry_sigma: Array
-    least: Array
-    least_sigma: Array
-    exit: Array
-    exit_sigma: Array
+    entry_speed: Array
+    entry_speed_sigma: Array
+    min_speed: Array
+    min_speed_sigma: Array
+    exit_speed: Array
+    exit_speed_sigma: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -255,7 +255,6 @@ def _corner(
     usual: _Losses,
 ) -> Corner:
     inside = (traces.distance >= bend.start) & (traces.distance <= bend.end)
-    speeds = corner_speeds(speed, traces, bend.start, bend.end)
     braking, braking_sigma = braking_points(traces, bounds[i], bend.apex)
     slide, slide_sigma = outward(traces.sideslip, traces.sideslip_sigma, inside, bend.curvature > 0.0)
     return Corner(
@@ -266,12 +265,7 @@ def _corner(
         turns_left=bend.curvature > 0.0,
         radius=1.0 / abs(bend.curvature),
         segment=(float(bounds[i]), float(bounds[i + 1])),
-        entry_speed=speeds.entry,
-        entry_speed_sigma=speeds.entry_sigma,
-        min_speed=speeds.least,
-        min_speed_sigma=speeds.least_sigma,
-        exit_speed=speeds.exit,
-        exit_speed_sigma=speeds.exit_sigma,
+        **vars(corner_speeds(speed, traces, bend.start, bend.end)),
         braking_point=braking,
         braking_sigma=braking_sigma,
         time=spent,

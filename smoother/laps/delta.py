@@ -31,22 +31,20 @@ DRIVING, DRIVING_ENDS = 0.7, 0.3  # m/s^2
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """Inputs of traces, per row (N,): along and left acceleration, zone, sideslip with sigma, balance."""
+    """Inputs of traces, per row (N,): along and left acceleration, zone, sideslip with sigma."""
 
     along: Array
     left: Array
     zone: IntArray
     sideslip: Array
     sideslip_sigma: Array
-    balance: Array
 
 
 def row_values(trajectory: Trajectory, path: PlanPath) -> Timed:
     """Return the values of each row for traces; path is that of the trajectory."""
     acceleration = level_acceleration(trajectory, path)
     along = _smoothed(acceleration[:, 0], path.t)
-    sideslip, sigma, balance = sideslip_of(trajectory, path, acceleration[:, 1])
-    return Timed(along, acceleration[:, 1], zones(along), sideslip, sigma, balance)
+    return Timed(along, acceleration[:, 1], zones(along), *sideslip_of(trajectory, path))
 
 
 def _smoothed(values: Array, t: Array) -> Array:
@@ -152,11 +150,9 @@ def make_traces(
         is_off_line=(np.abs(lateral) > least_significant(lateral_sigma)) & (lateral_sigma > 0.0),
         longitudinal=sampled(values.along),
         lateral_acceleration=sampled(values.left),
-        yaw_rate=sampled(trajectory.angular_rate_b[:, 2]),
         zone=np.where(known, values.zone[nearest], 0),
         sideslip=sampled(values.sideslip),
         sideslip_sigma=sampled(values.sideslip_sigma),
-        balance=sampled(values.balance),
     )
 
 

@@ -115,6 +115,12 @@ def _line(line: Line | None, origin: Origin) -> Document | None:
     }
 
 
+_TIMES = (
+    *("best", "best_sigma", "theoretical", "theoretical_sigma", "theoretical_raw"),
+    *("rolling", "rolling_sigma", "rolling_raw", "mean", "median", "spread"),
+)
+
+
 def _statistics(statistics: Statistics | None, analysis: LapAnalysis) -> Document | None:
     if statistics is None:
         return None
@@ -122,18 +128,8 @@ def _statistics(statistics: Statistics | None, analysis: LapAnalysis) -> Documen
     return {
         "counted": statistics.counted,
         "best_lap": None if best is None else analysis.laps[best].number,
-        "best_s": statistics.best,
-        "best_sigma_s": statistics.best_sigma,
-        "theoretical_s": statistics.theoretical,
-        "theoretical_sigma_s": statistics.theoretical_sigma,
-        "theoretical_raw_s": statistics.theoretical_raw,
-        "rolling_s": statistics.rolling,
-        "rolling_sigma_s": statistics.rolling_sigma,
-        "rolling_raw_s": statistics.rolling_raw,
+        **{f"{name}_s": getattr(statistics, name) for name in _TIMES},
         "rolling_from_m": statistics.rolling_from,
-        "mean_s": statistics.mean,
-        "median_s": statistics.median,
-        "spread_s": statistics.spread,
         "within_tenth": statistics.within_tenth,
     }
 
@@ -153,14 +149,12 @@ def _loss(loss: Loss, analysis: LapAnalysis) -> Document:
     return row
 
 
+_SPEEDS = tuple((name, of) for name in ("entry", "min", "exit") for of in ("", "_sigma"))
+
+
 def _corner(corner: Corner, analysis: LapAnalysis) -> Document:
     columns = {
-        "entry_speed_mps": corner.entry_speed,
-        "entry_speed_sigma_mps": corner.entry_speed_sigma,
-        "min_speed_mps": corner.min_speed,
-        "min_speed_sigma_mps": corner.min_speed_sigma,
-        "exit_speed_mps": corner.exit_speed,
-        "exit_speed_sigma_mps": corner.exit_speed_sigma,
+        **{f"{name}_speed{of}_mps": getattr(corner, f"{name}_speed{of}") for name, of in _SPEEDS},
         "braking_point_m": corner.braking_point,
         "braking_sigma_m": corner.braking_sigma,
         "time_s": corner.time,

@@ -7,10 +7,10 @@ the number of corners, N the rows of the trajectory. NaN is an unknown value. Ev
 deviation. Nothing is computed here.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from smoother.arrays import Array, BoolArray, IntArray, frozen, require_increasing
+from smoother.arrays import Array, BoolArray, IntArray, freeze, require_increasing
 from smoother.samples import Problem
 
 Reason = Literal["out-lap", "in-lap", "pit", "gap", "off-track", "stopped", "short-cut"]
@@ -37,8 +37,7 @@ class Line:
     distance: float = float("nan")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "left_n", frozen(self.left_n, (2,), "Line.left_n"))
-        object.__setattr__(self, "right_n", frozen(self.right_n, (2,), "Line.right_n"))
+        freeze(self, left_n=(2,), right_n=(2,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,15 +102,7 @@ class ReferenceLine:
 
     def __post_init__(self) -> None:
         n = len(self.distance)
-        shapes: dict[str, tuple[int, ...]] = {
-            "distance": (n,),
-            "position_n": (n, 2),
-            "tangent_n": (n, 2),
-            "curvature": (n,),
-            "up": (n,),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"ReferenceLine.{name}"))
+        freeze(self, distance=(n,), position_n=(n, 2), tangent_n=(n, 2), curvature=(n,), up=(n,))
         require_increasing(self.distance, "ReferenceLine.distance")
 
 
@@ -124,10 +115,9 @@ class Traces:
     slower, with delta_sigma; lateral m left of the reference line, with lateral_sigma, of the difference between the
     lap and the line, including the GPS error of both; place_sigma m, contribution of a lap to the sigma of the distance
     between two laps (the root of the sum of squares of both); is_off_line: where |lateral| is above two of its sigma
-    (draw the rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level; yaw_rate rad/s of
-    the kart. zone: -1 braking, +1 driving, 0 neither. sideslip rad, heading minus course, both clockwise (positive: the
-    kart slides to its left), with sideslip_sigma; balance rad/s, yaw rate minus that of the path, positive: turns more
-    to the left than the path. Both all NaN where not observable (no inertial sensor, or attitude too unsure).
+    (draw the rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level. zone: -1 braking,
+    +1 driving, 0 neither. sideslip rad, heading minus course, both clockwise (positive: the kart slides to its left),
+    with sideslip_sigma; all NaN where it is not observable (no inertial sensor, or too uncertain an attitude).
     """
 
     distance: Array
@@ -141,11 +131,9 @@ class Traces:
     is_off_line: BoolArray
     longitudinal: Array
     lateral_acceleration: Array
-    yaw_rate: Array
     zone: IntArray
     sideslip: Array
     sideslip_sigma: Array
-    balance: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +185,9 @@ class Statistics:
     best_lap: index in `laps` of the best, None without; best, best_sigma s. theoretical s: sum of the best sectors with
     the expected gain from picking the least of noisy times removed, theoretical_sigma; theoretical_raw s without
     that correction. rolling s: fastest whole lap from any point of the track to the same point, corrected likewise,
-    rolling_sigma; rolling_raw s as measured, rolling_from m, the track distance of its start, and
-    rolling_t s, its time. mean, median s; spread s, standard
-    deviation of the laps with the timing noise removed where that is known and not assumed, 0 within it;
+    rolling_sigma; rolling_raw s as measured, rolling_from m, the track distance of its start. mean, median s;
+    spread s, standard deviation of the laps with the timing noise removed where that is known and not assumed, 0
+    within it;
     within_tenth: number within 0.1 s of the best, including the best; counted: number of laps that count.
     """
 
@@ -213,7 +201,6 @@ class Statistics:
     rolling_sigma: float
     rolling_raw: float
     rolling_from: float
-    rolling_t: float
     mean: float
     median: float
     spread: float
@@ -245,22 +232,22 @@ class LapAnalysis:
     track: its name, empty if unknown. problems of the analysis. no_sideslip: the reason if there is none.
     """
 
-    laps: tuple[Lap, ...]
-    start_line: Line | None
-    sector_lines: tuple[Line, ...]
-    finish_line: Line | None
-    reference: ReferenceLine | None
-    traces: Traces | None
-    corners: tuple[Corner, ...]
-    statistics: Statistics | None
-    reference_lap: int | None
-    reference_name: str
-    official: tuple[OfficialTime, ...]
-    sigma_source: SigmaSource
     lap_of_row: IntArray
     lap_distance: Array
+    laps: tuple[Lap, ...] = ()
+    start_line: Line | None = None
+    sector_lines: tuple[Line, ...] = ()
+    finish_line: Line | None = None
+    reference: ReferenceLine | None = None
+    traces: Traces | None = None
+    corners: tuple[Corner, ...] = ()
+    statistics: Statistics | None = None
+    reference_lap: int | None = None
+    reference_name: str = ""
+    official: tuple[OfficialTime, ...] = ()
+    sigma_source: SigmaSource = "none"
     track: str = ""
-    problems: tuple[Problem, ...] = field(default=())
+    problems: tuple[Problem, ...] = ()
     no_sideslip: str = ""
 
     @property
@@ -277,8 +264,7 @@ class FixPath:
     position_n: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", frozen(self.t, (None,), "FixPath.t"))
-        object.__setattr__(self, "position_n", frozen(self.position_n, (len(self.t), 2), "FixPath.position_n"))
+        freeze(self, t=(None,), position_n=(len(self.t), 2))
         require_increasing(self.t, "FixPath.t")
 
 

@@ -17,24 +17,20 @@ MOVING = 5.0  # m/s, above which a heading can be compared with a course
 OBSERVABLE = 2.5 * DEG  # rad, sigma of sideslip: a kart slides 3 to 8 deg
 
 
-def sideslip_of(trajectory: Trajectory, path: PlanPath, left: Array) -> tuple[Array, Array, Array]:
-    """Return sideslip, its sigma (N,) rad, and balance (N,) rad/s; NaN where they are not observable.
-
-    left (N,) m/s^2: level acceleration to the left of the path.
-    """
-    out = np.full((3, len(trajectory)), np.nan)
+def sideslip_of(trajectory: Trajectory, path: PlanPath) -> tuple[Array, Array]:
+    """Return sideslip and its sigma, (N,) rad; NaN where they are not observable."""
+    out = np.full((2, len(trajectory)), np.nan)
     if why_hidden(trajectory, path):
-        return out[0], out[1], out[2]
+        return out[0], out[1]
     all_sigma = _sigma(trajectory, path)
     for part in pieces(len(trajectory)):
         velocity, speed, sigma = path.velocity_n[part], path.speed[part], all_sigma[part]
         yaw = euler_from_rotation(trajectory.R_nb[part])[2]
         sideslip = wrap_angle(np.arctan2(velocity[:, 1], velocity[:, 0]) - yaw)
-        balance = trajectory.angular_rate_b[part, 2] - left[part] / np.maximum(speed, 0.1)
         hidden = ~(speed > MOVING) | ~(sigma < 2.0 * OBSERVABLE)
-        out[:, part] = np.where(hidden, np.nan, np.stack([sideslip, sigma, balance]))
-        release(trajectory.R_nb, trajectory.angular_rate_b)
-    return out[0], out[1], out[2]
+        out[:, part] = np.where(hidden, np.nan, np.stack([sideslip, sigma]))
+        release(trajectory.R_nb)
+    return out[0], out[1]
 
 
 def why_hidden(trajectory: Trajectory, path: PlanPath) -> str:

@@ -12,7 +12,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, frozen, require_increasing
+from smoother.arrays import Array, BoolArray, freeze, require_increasing
 from smoother.laps.results import SigmaSource
 from smoother.trajectory import JointPosition, Trajectory
 
@@ -94,8 +94,7 @@ class Drift:
     absolute: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lag", frozen(self.lag, (None,), "Drift.lag"))
-        object.__setattr__(self, "change", frozen(self.change, (len(self.lag),), "Drift.change"))
+        freeze(self, lag=(None,), change=(len(self.lag),))
         require_increasing(self.lag, "Drift.lag")
 
     def covariance(self, t: Array, direction_n: Array) -> Array:

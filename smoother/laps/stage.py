@@ -3,6 +3,7 @@ the functions, so that the command line starts quickly."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,20 +33,17 @@ def steps(rate: float) -> int:
     return 1 if rate >= LEAST_RATE else int(-(-LEAST_RATE // rate))
 
 
+@dataclass(frozen=True)
 class Stated:
     """Stated tracks and official times of a session, checked before smoothing.
 
     problems : of statements that could not be used.
     """
 
-    def __init__(
-        self,
-        tracks: tuple[TrackFile, ...] = (),
-        official: tuple[float, ...] = (),
-        own: tuple[OwnLine, ...] = (),
-        problems: tuple[Problem, ...] = (),
-    ) -> None:
-        self.tracks, self.official, self.own, self.problems = tracks, official, own, problems
+    tracks: tuple[TrackFile, ...] = ()
+    official: tuple[float, ...] = ()
+    own: tuple[OwnLine, ...] = ()
+    problems: tuple[Problem, ...] = ()
 
 
 def read_stated(config: SessionConfig, directory: Path, recording: Path | None = None) -> Stated:
@@ -91,35 +89,36 @@ def _official(path: Path) -> tuple[float, ...]:
     return load_official(path)
 
 
-def _of_beacon(recording: Path) -> tuple[float, ...]:
-    """The lap times of the logger itself, where the recording, a file or a folder, contains them."""
+def _foreign_file(recording: Path, *kinds: str) -> tuple[str, Path] | None:
+    """The recording of another logger in a file or a folder, with its kind, if that is one of `kinds`."""
     from smoother.session.files import list_files
 
     try:
         files = list_files(recording).foreign_files()
     except SmootherError:  # results alone, or a folder of several recordings
-        return ()
-    if not files or files[0][0] not in ("xrk", "table"):
+        return None
+    return files[0] if files and files[0][0] in kinds else None
+
+
+def _of_beacon(recording: Path) -> tuple[float, ...]:
+    """The lap times of the logger itself, where the recording contains them."""
+    found = _foreign_file(recording, "xrk", "table")
+    if found is None:
         return ()
     from smoother.session.readers.sets import beacon_times
 
-    return beacon_times(*files[0])
+    return beacon_times(*found)
 
 
 def _own(recording: Path) -> tuple[OwnLine, ...]:
-    """The lines in the recording, a file or a folder: those of a VBO."""
-    from smoother.session.files import list_files
-
-    try:
-        files = list_files(recording).foreign_files()
-    except SmootherError:  # results alone, or a folder of several recordings
-        return ()
-    if not files or files[0][0] != "vbo":
+    """The lines in the recording: those of a VBO."""
+    found = _foreign_file(recording, "vbo")
+    if found is None:
         return ()
     from smoother.laps.own_lines import OwnLine
     from smoother.session.readers.vbo import own_lines
 
-    orders = own_lines(files[0][1])
+    orders = own_lines(found[1])
     return tuple(OwnLine(o[0].kind, tuple((line.first_deg, line.second_deg) for line in o)) for o in orders)
 
 

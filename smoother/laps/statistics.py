@@ -44,7 +44,6 @@ def statistics_of(
         rolling_sigma=rolling.sigma,
         rolling_raw=rolling.raw,
         rolling_from=rolling.distance,
-        rolling_t=rolling.t,
         mean=float(times.mean()) if len(times) else np.nan,
         median=float(np.median(times)) if len(times) else np.nan,
         spread=_spread(times[flying], sigmas[flying] if is_measured else np.zeros(np.count_nonzero(flying))),
