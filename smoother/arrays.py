@@ -35,6 +35,13 @@ def frozen_int(value: npt.ArrayLike, shape: Sequence[int | None], name: str) -> 
     return array
 
 
+def freeze(instance: object, **shapes: Sequence[int | None]) -> None:
+    """Make the named arrays of a frozen dataclass read-only, each of its shape; see :func:`frozen`."""
+    for name, shape in shapes.items():
+        value = frozen(getattr(instance, name), shape, f"{type(instance).__name__}.{name}")
+        object.__setattr__(instance, name, value)
+
+
 def require_increasing(t: Array, name: str) -> None:
     """Raise ValueError unless `t` (N,) is finite and strictly increasing."""
     if not all(np.all(np.isfinite(t[i : i + _TOGETHER])) for i in range(0, t.size, _TOGETHER)):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, frozen, frozen_int, median, require_increasing
+from smoother.arrays import Array, BoolArray, freeze, frozen, frozen_int, median, require_increasing
 from smoother.config import SessionConfig
 from smoother.disc import pieces
 from smoother.frames import Origin, geodetic_to_nwu
@@ -100,9 +100,9 @@ class RawImu:
     stamp_sigma: float = 0.0
 
     def __post_init__(self) -> None:
-        _freeze(self, t=(None,), accel=(len(self.t), 3), gyro=(len(self.t), 3))
+        freeze(self, t=(None,), accel=(len(self.t), 3), gyro=(len(self.t), 3))
         if self.temperature is not None:
-            _freeze(self, temperature=(len(self.t),))
+            freeze(self, temperature=(len(self.t),))
         require_increasing(self.t, "RawImu.t")
 
 
@@ -114,7 +114,7 @@ class RawMag:
     field: Array
 
     def __post_init__(self) -> None:
-        _freeze(self, t=(None,), field=(len(self.t), 3))
+        freeze(self, t=(None,), field=(len(self.t), 3))
         require_increasing(self.t, "RawMag.t")
 
 
@@ -126,7 +126,7 @@ class WheelSpeed:
     speed: Array
 
     def __post_init__(self) -> None:
-        _freeze(self, t=(None,), speed=(len(self.t),))
+        freeze(self, t=(None,), speed=(len(self.t),))
         require_increasing(self.t, "WheelSpeed.t")
 
 
@@ -143,7 +143,7 @@ class Channel:
     values: Array
 
     def __post_init__(self) -> None:
-        _freeze(self, t=(None,), values=(len(self.t),))
+        freeze(self, t=(None,), values=(len(self.t),))
         require_increasing(self.t, "Channel.t")
 
     def between(self, begin: float, end: float) -> "Channel":
@@ -169,7 +169,7 @@ class ImuSamples:
     stamp_sigma: float = 0.0
 
     def __post_init__(self) -> None:
-        _freeze(self, t=(None,), specific_force_s=(len(self.t), 3), angular_rate_s=(len(self.t), 3))
+        freeze(self, t=(None,), specific_force_s=(len(self.t), 3), angular_rate_s=(len(self.t), 3))
         require_increasing(self.t, "ImuSamples.t")
 
     @property
@@ -190,16 +190,12 @@ class ImuSamples:
 
     def between(self, start: float, end: float) -> "ImuSamples":
         """Return the samples with start <= t < end."""
-        i, j = np.searchsorted(self.t, [start, end])
-        return ImuSamples(
-            self.t[i:j],
-            self.specific_force_s[i:j],
-            self.angular_rate_s[i:j],
-            self.accel_full_scale,
-            self.gyro_full_scale,
-            self.longest_step,
-            self.stamp_sigma,
-        )
+        return self.rows(slice(*np.searchsorted(self.t, [start, end])))
+
+    def rows(self, rows: slice) -> "ImuSamples":
+        """Return some of the samples."""
+        force, rate = self.specific_force_s[rows], self.angular_rate_s[rows]
+        return replace(self, t=self.t[rows], specific_force_s=force, angular_rate_s=rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +207,7 @@ class MagSamples:
     is_calibrated: bool = False
 
     def __post_init__(self) -> None:
-        _freeze(self, t=(None,), field_s=(len(self.t), 3))
+        freeze(self, t=(None,), field_s=(len(self.t), 3))
         require_increasing(self.t, "MagSamples.t")
 
 
@@ -247,7 +243,7 @@ class GnssFixes:
 
     def __post_init__(self) -> None:
         n = len(self.t)
-        _freeze(self, t=(n,), lat_deg=(n,), lon_deg=(n,), alt_m=(n,), velocity_n=(n, 3))
+        freeze(self, t=(n,), lat_deg=(n,), lon_deg=(n,), alt_m=(n,), velocity_n=(n, 3))
         for name in _OPTIONAL_COLUMNS:
             value = getattr(self, name)
             value = np.full(n, np.nan) if value is None else value
@@ -331,9 +327,3 @@ class Session:
     def fix_position_n(self) -> Array:
         """Positions of the fixes in n, (N, 3) m, Up NaN where the height is unknown."""
         return self.gnss.position_n(self.origin)
-
-
-def _freeze(instance: object, **shapes: tuple[int | None, ...]) -> None:
-    for name, shape in shapes.items():
-        value = frozen(getattr(instance, name), shape, f"{type(instance).__name__}.{name}")
-        object.__setattr__(instance, name, value)

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, frozen, require_increasing
+from smoother.arrays import Array, BoolArray, freeze, require_increasing
 from smoother.disc import thinned
 from smoother.frames import euler_from_rotation
 from smoother.samples import Problem
@@ -37,9 +37,7 @@ class Sigmas:
 
     def __post_init__(self) -> None:
         n = len(self.track)
-        for name, shape in (("position_n", (n, 3)), ("velocity_n", (n, 3)), ("speed", (n,)), ("attitude", (n, 3))):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Sigmas.{name}"))
-        object.__setattr__(self, "track", frozen(self.track, (n,), "Sigmas.track"))
+        freeze(self, position_n=(n, 3), velocity_n=(n, 3), speed=(n,), attitude=(n, 3), track=(n,))
 
 
 @dataclass(frozen=True)
@@ -158,16 +156,8 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         n = len(self.t)
-        shapes: dict[str, tuple[int, ...]] = {
-            "t": (n,),
-            "position_n": (n, 3),
-            "velocity_n": (n, 3),
-            "R_nb": (n, 3, 3),
-            "acceleration_b": (n, 3),
-            "angular_rate_b": (n, 3),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Trajectory.{name}"))
+        freeze(self, t=(n,), position_n=(n, 3), velocity_n=(n, 3), R_nb=(n, 3, 3))
+        freeze(self, acceleration_b=(n, 3), angular_rate_b=(n, 3))
         require_increasing(self.t, "Trajectory.t")
 
     def __len__(self) -> int:

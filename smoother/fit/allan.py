@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
-from smoother.arrays import Array, BoolArray, frozen
+from smoother.arrays import Array, BoolArray, freeze
 from smoother.fit.ellipsoid import FitError
 
 FEWEST_SAMPLES = 1000
@@ -59,8 +59,7 @@ class NoiseFigures:
     covariance: Array
 
     def __post_init__(self) -> None:
-        for name in ("value", "sigma", "upper"):
-            object.__setattr__(self, name, frozen(getattr(self, name), (None, 3), f"NoiseFigures.{name}"))
+        freeze(self, value=(None, 3), sigma=(None, 3), upper=(None, 3))
 
     def allan_deviation(self, tau: Array, *, of_seen: bool = False) -> Array:
         """Allan deviation (M, D) that these figures mean at tau (M,) s; of_seen: without the parts that were not."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, frozen
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, freeze
 from smoother.errors import SmootherError
 from smoother.fit import quadric
 
@@ -59,24 +59,12 @@ class Ellipsoid:
     is_used: BoolArray
 
     def __post_init__(self) -> None:
-        for name, shape in (
-            ("centre", (3,)),
-            ("to_unit_sphere", (3, 3)),
-            ("covariance", (9, 9)),
-            ("semi_axes", (3,)),
-            ("semi_axes_sigma", (3,)),
-            ("axes", (3, 3)),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Ellipsoid.{name}"))
+        freeze(self, centre=(3,), to_unit_sphere=(3, 3), covariance=(9, 9))
+        freeze(self, semi_axes=(3,), semi_axes_sigma=(3,), axes=(3, 3))
 
     def apply(self, points: Array) -> Array:
         """Return points (N, 3) carried to the unit sphere, (N, 3)."""
         return np.asarray((points - self.centre) @ self.to_unit_sphere)
-
-    @property
-    def centre_sigma(self) -> Array:
-        """One standard deviation of the centre, (3,)."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance)[:3]))
 
 
 def fit_ellipsoid(points: Array) -> Ellipsoid:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, frozen
+from smoother.arrays import Array, BoolArray, freeze
 from smoother.fit.correlation import correlation_growth
 from smoother.fit.ellipsoid import FitError
 
@@ -29,9 +29,7 @@ class GyroBias:
     count: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bias", frozen(self.bias, (3,), "GyroBias.bias"))
-        covariance = frozen(self.noise_covariance, (3, 3), "GyroBias.noise_covariance")
-        object.__setattr__(self, "noise_covariance", covariance)
+        freeze(self, bias=(3,), noise_covariance=(3, 3))
 
     @property
     def covariance(self) -> Array:

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, frozen
+from smoother.arrays import Array, freeze
 from smoother.fit.ellipsoid import FitError
 from smoother.fit.resting import RestingPosition
 from smoother.fit.six_position import AccelFit, excess_scatter
@@ -44,8 +44,7 @@ class GyroMatrixFit:
     rms_after: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", frozen(self.matrix, (3, 3), "GyroMatrixFit.matrix"))
-        object.__setattr__(self, "covariance", frozen(self.covariance, (9, 9), "GyroMatrixFit.covariance"))
+        freeze(self, matrix=(3, 3), covariance=(9, 9))
 
     @property
     def sigma(self) -> Array:

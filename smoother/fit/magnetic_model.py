@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pygeomag import GeoMag, calculate_decimal_year
 
-from smoother.arrays import Array, frozen
+from smoother.arrays import Array, freeze
 from smoother.frames import Origin
 from smoother.samples import Problem, Session
 from smoother.units import DEG
@@ -37,7 +37,7 @@ class EarthField:
     note: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "field_n", frozen(self.field_n, (3,), "EarthField.field_n"))
+        freeze(self, field_n=(3,))
 
 
 def earth_field(origin: Origin, date: datetime.date | float) -> EarthField:

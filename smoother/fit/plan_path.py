@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray, frozen
+from smoother.arrays import Array, IntArray, freeze
 
 STANDING = 1.0  # m/s; below, distance is the wander of the GPS and not counted
 
@@ -21,8 +21,7 @@ class PlanPath:
 
     def __post_init__(self) -> None:
         n = len(self.t)
-        for name, shape in (("t", (n,)), ("position_n", (n, 2)), ("velocity_n", (n, 2)), ("up", (n,))):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"PlanPath.{name}"))
+        freeze(self, t=(n,), position_n=(n, 2), velocity_n=(n, 2), up=(n,))
 
     @cached_property
     def speed(self) -> Array:

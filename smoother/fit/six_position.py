@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from smoother.arrays import Array, BoolArray, frozen
+from smoother.arrays import Array, BoolArray, freeze
 from smoother.fit.ellipsoid import COLUMNS, ROWS, FitError
 from smoother.fit.resting import RestingPosition, distinct_directions
 from smoother.units import STANDARD_GRAVITY
@@ -46,8 +46,7 @@ class AccelFit:
     observed: BoolArray
 
     def __post_init__(self) -> None:
-        for name, shape in (("offset", (3,)), ("matrix", (3, 3)), ("covariance", (9, 9))):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"AccelFit.{name}"))
+        freeze(self, offset=(3,), matrix=(3, 3), covariance=(9, 9))
 
     @property
     def offset_sigma(self) -> Array:

@@ -7,6 +7,7 @@ of samples for the identification, the lag of the smoother, the path of the last
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -246,14 +247,9 @@ def in_order(items: Sequence[Item]) -> list[Item]:
             pieces.append(item)
             continue
         cuts = np.searchsorted(item.t, item.t[0] + PIECE * np.arange(1, int(length / PIECE) + 1))
-        pieces += [_part(item, part) for part in np.split(np.arange(len(item.t)), cuts) if part.size]
+        ends = [0, *cuts.tolist(), len(item.t)]
+        pieces += [item.rows(slice(*part)) for part in pairwise(ends) if part[1] > part[0]]
     return sorted(pieces, key=lambda item: (float(item.t[-1]), isinstance(item, GnssFixes)))
-
-
-def _part(imu: ImuSamples, part: np.ndarray) -> ImuSamples:
-    return replace(
-        imu, t=imu.t[part], specific_force_s=imu.specific_force_s[part], angular_rate_s=imu.angular_rate_s[part]
-    )
 
 
 def _feed(lag: FixedLag, item: Item, origin: Origin) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BSpline
 
-from smoother.arrays import Array, frozen
+from smoother.arrays import Array, freeze
 from smoother.frames import GRAVITY_N, Origin, geodetic_to_nwu, nwu_to_geodetic, rotation_from_euler
 from smoother.trajectory import Trajectory
 from smoother.units import DEG
@@ -89,7 +89,7 @@ class Truth:
     def __post_init__(self) -> None:
         if self.control.ndim != 2 or self.control.shape[1] != CHANNELS or len(self.control) <= _DEGREE:
             raise ValueError(f"control has shape {self.control.shape}, wanted (more than {_DEGREE}, {CHANNELS})")
-        object.__setattr__(self, "control", frozen(self.control, (None, CHANNELS), "control"))
+        freeze(self, control=(None, CHANNELS))
         knots = self.start + self.step * (np.arange(len(self.control) + _DEGREE + 1) - 3.0)
         object.__setattr__(self, "_spline", BSpline(knots, self.control, _DEGREE, extrapolate=False))
 
