@@ -6,6 +6,7 @@ it after each.
 """
 
 import contextlib
+import ctypes
 import gc
 import mmap
 import os
@@ -19,9 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 LARGE = 32 << 20  # bytes; five hours of one column at 200 Hz
-KEPT_FREE = 256 << 20  # bytes; what the stages of a session of an hour free and take again
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h; the latter takes 32 MB at most
-PAGE = 4096  # bytes; what the C library itself adds to an array is less
 PIECE = 1 << 19  # rows that are worked on together; six columns of them are 25 MB
 PLACE = Path("/var/tmp")  # where systems keep large temporary files, whose /tmp may be memory
 
@@ -120,35 +118,8 @@ def settle(*values: object) -> None:
     release(*values)
     if any(_is_in_file(value) for value in values):
         gc.collect()
-        _ask_c_library("malloc_trim", 0)
-
-
-def reuse_freed_memory() -> None:
-    """Let the C library keep up to :data:`KEPT_FREE` of freed memory, for the arrays to come.
-
-    Left to itself it gives that of every few megabytes back at once, and the system has to find and clear the pages of
-    the next array anew: half of all page faults, and as many seconds as reading takes. Source: the manual of mallopt.
-    """
-    _ask_c_library("mallopt", M_MMAP_THRESHOLD, LARGE)
-    _ask_c_library("mallopt", M_TRIM_THRESHOLD, KEPT_FREE)
-    _take_large_pages()
-
-
-def _take_large_pages() -> None:
-    """Have the C library keep memory that the system hands out by 2 MB, not by 4 kB: half of the faults that are left.
-
-    Numpy asks for that where an array takes 4 MB or more; most take less. Nothing of it is in use before it is needed.
-    """
-    with contextlib.suppress(MemoryError):
-        _ = [np.empty(LARGE - PAGE, dtype=np.uint8) for _ in range(3 * KEPT_FREE // (4 * LARGE))]
-
-
-def _ask_c_library(function: str, *arguments: int) -> None:
-    """Call what glibc has and another C library or system may lack; then nothing happens."""
-    import ctypes
-
-    with contextlib.suppress(AttributeError, OSError, TypeError):
-        getattr(ctypes.CDLL(None), function)(*arguments)
+        with contextlib.suppress(AttributeError, OSError, TypeError):  # a C library without it
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _is_in_file(value: object) -> bool:

@@ -3,9 +3,6 @@
 import errno
 import mmap
 import os
-import platform
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +12,6 @@ import pytest
 
 from smoother import disc
 from smoother.disc import LARGE, Growing, Shelf, contents, even_pieces, kept, pieces, release, roomy, settle, thinned
-
-LARGE_PAGES = Path("/sys/kernel/mm/transparent_hugepage/enabled")
 
 
 def resident() -> int:
@@ -161,45 +156,3 @@ def test_arrays_are_found_wherever_they_are_held(hide: Callable[[np.ndarray], ob
     values[:] = 1.0
     release(hide(values))
     assert resident() - before < LARGE
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library decides for itself")
-def test_freed_memory_is_used_again() -> None:
-    # six arrays of 2.4 MB are 3500 pages; without, each round would have the system hand out all of them anew
-    code = """if True:
-        import resource
-        import numpy as np
-        from smoother.disc import reuse_freed_memory
-        reuse_freed_memory()
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        for _ in range(20):
-            arrays = [np.ones(300_000) for _ in range(6)]
-            del arrays
-        print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
-    """
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert int(shown) < 2 * 3500
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library does as it does")
-@pytest.mark.skipif(
-    not LARGE_PAGES.is_file() or "[never]" in LARGE_PAGES.read_text(encoding="ascii"), reason="a system of small pages"
-)
-def test_small_arrays_lie_in_large_pages() -> None:
-    # 80 arrays of 0.5 MB are 10000 pages of 4 kB, but 20 of 2 MB
-    code = """if True:
-        import resource
-        from pathlib import Path
-        import numpy as np
-        from smoother.disc import reuse_freed_memory
-        pages = lambda: int(Path("/proc/self/statm").read_text().split()[1])
-        before = pages()
-        reuse_freed_memory()
-        taken, faults = pages() - before, resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        arrays = [np.ones(65_536) for _ in range(80)]
-        print(taken, resource.getrusage(resource.RUSAGE_SELF).ru_minflt - faults)
-    """
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    taken, faults = map(int, shown.split())
-    assert taken < 2000  # 8 MB; memory that is not needed yet is not in use
-    assert faults < 5000

@@ -124,11 +124,9 @@ def naming(path: Path) -> Iterator[None]:
 
 def read(path: Path) -> RawSession:
     """Read a session. Raises SmootherError in one line with file and remedy, also for a folder of results."""
-    from smoother.disc import reuse_freed_memory
     from smoother.estimate.initial.units import in_known_units
     from smoother.session.load import load_raw
 
-    reuse_freed_memory()
     require_recording(path)
     with naming(path):
         return in_known_units(load_raw(path))
