@@ -15,7 +15,7 @@ from smoother.calibration import Calibration
 from smoother.config import SessionConfig
 from smoother.errors import SessionError
 from smoother.fit.resting import RestingPosition, resting_positions
-from smoother.fit.standstill import StandstillOptions, detect_standstill, fix_speeds
+from smoother.fit.standstill import detect_standstill, fix_speeds
 from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, GnssFixes, Problem, RawImu, RawMag
 from smoother.session.beside import read_mag
@@ -96,7 +96,7 @@ class Recording:
         """Whether the fixes show a kart on the move, rather than a logger on a bench."""
         if self.fixes is None or self.origin is None or len(self.fixes) < FEWEST_ROWS:
             return False
-        speed, _ = fix_speeds(self.fixes, self.origin, StandstillOptions())
+        speed, _ = fix_speeds(self.fixes, self.origin)
         known = speed[np.isfinite(speed)]
         return bool(known.size and np.percentile(known, 95.0) > DRIVING_SPEED)
 
@@ -107,7 +107,7 @@ class Recording:
         if not self.is_driven:
             return detect_standstill(self.imu.t, self.force, self.rate)
         assert self.fixes is not None and self.origin is not None
-        speed, limit = fix_speeds(self.fixes, self.origin, StandstillOptions())
+        speed, limit = fix_speeds(self.fixes, self.origin)
         return detect_standstill(self.imu.t, self.force, self.rate, self.fixes.t, speed, limit)
 
     @cached_property

@@ -64,6 +64,7 @@ class StandstillOptions:
     off_bias: float = 5.0 * DEG
 
 
+OPTIONS = StandstillOptions()
 MAX_POSITION_SPEED = 1.0  # m/s; limit where only positions are known and these are noisy
 POSITION_WINDOW = 3.0  # s on each side, over which positions are averaged into a speed
 FEWEST_BLOCKS = 4
@@ -78,11 +79,10 @@ def session_standstill(session: Session, gyro_bias: Array | None = None) -> Bool
     """
     if session.imu is None:
         return np.zeros(0, dtype=np.bool_)
-    options = StandstillOptions()
-    speed, limit = fix_speeds(session.gnss, session.origin, options)
+    speed, limit = fix_speeds(session.gnss, session.origin)
     imu = session.imu
     fixes_t = session.gnss.t
-    return detect_standstill(imu.t, imu.specific_force_s, imu.angular_rate_s, fixes_t, speed, limit, options, gyro_bias)
+    return detect_standstill(imu.t, imu.specific_force_s, imu.angular_rate_s, fixes_t, speed, limit, gyro_bias)
 
 
 def detect_standstill(
@@ -92,7 +92,6 @@ def detect_standstill(
     fix_t: Array | None = None,
     fix_speed: Array | None = None,
     speed_limit: Array | float | None = None,
-    options: StandstillOptions | None = None,
     gyro_bias: Array | None = None,
 ) -> BoolArray:
     """Mask (N,) of samples at rest.
@@ -101,26 +100,25 @@ def detect_standstill(
     fix_speed (M,) m/s, NaN unknown, None on the bench; speed_limit (M,) m/s of each fix, `max_speed` if not given;
     gyro_bias (3,) rad/s, where it is known.
     """
-    options = StandstillOptions() if options is None else options
     if len(t) == 0:
         return np.zeros(0, dtype=np.bool_)
-    block = np.floor((t - t[0]) / options.block).astype(np.int64)
+    block = np.floor((t - t[0]) / OPTIONS.block).astype(np.int64)
     edges = np.searchsorted(block, np.arange(int(block[-1]) + 2))
-    force, rate = _Blocks.of(specific_force, edges, options), _Blocks.of(angular_rate, edges, options)
-    still = _is_steady(force, options.force_floor, options) & _is_steady(rate, options.rate_floor, options)
+    force, rate = _Blocks.of(specific_force, edges), _Blocks.of(angular_rate, edges)
+    still = _is_steady(force, OPTIONS.force_floor) & _is_steady(rate, OPTIONS.rate_floor)
     if fix_t is None or fix_speed is None:
-        still &= _is_quiet(force, options.quiet_force, options) & _is_quiet(rate, options.quiet_rate, options)
+        still &= _is_quiet(force, OPTIONS.quiet_force) & _is_quiet(rate, OPTIONS.quiet_rate)
     else:
-        limit = np.broadcast_to(options.max_speed if speed_limit is None else speed_limit, fix_t.shape)
-        centre = t[0] + (np.arange(len(still)) + 0.5) * options.block
-        is_driven = np.interp(centre, *_known(fix_t, fix_speed)) > options.drives
-        lifeless = still & _is_lifeless(force, is_driven, options) & _is_lifeless(rate, is_driven, options)
-        lifeless &= _is_stopped(centre, fix_t, fix_speed, np.full(fix_t.shape, options.astray), options)
-        still &= _is_stopped(centre, fix_t, fix_speed, np.asarray(limit), options)
-        still |= _without_short_runs(lifeless, round(options.lifeless[1] / options.block))
+        limit = np.broadcast_to(OPTIONS.max_speed if speed_limit is None else speed_limit, fix_t.shape)
+        centre = t[0] + (np.arange(len(still)) + 0.5) * OPTIONS.block
+        is_driven = np.interp(centre, *_known(fix_t, fix_speed)) > OPTIONS.drives
+        lifeless = still & _is_lifeless(force, is_driven) & _is_lifeless(rate, is_driven)
+        lifeless &= _is_stopped(centre, fix_t, fix_speed, np.full(fix_t.shape, OPTIONS.astray))
+        still &= _is_stopped(centre, fix_t, fix_speed, np.asarray(limit))
+        still |= _without_short_runs(lifeless, round(OPTIONS.lifeless[1] / OPTIONS.block))
     if fix_t is not None:
-        still = _without_turned_runs(still, rate, gyro_bias, options)
-    still = _without_short_runs(still, int(np.ceil(options.shortest / options.block - 1e-9)))
+        still = _without_turned_runs(still, rate, gyro_bias)
+    still = _without_short_runs(still, int(np.ceil(OPTIONS.shortest / OPTIONS.block - 1e-9)))
     return np.asarray(still[block])
 
 
@@ -133,16 +131,16 @@ def standstill_intervals(t: Array, is_standstill: BoolArray) -> Array:
 # ---- the fixes ------------------------------------------------------------------------------------------------------
 
 
-def fix_speeds(fixes: GnssFixes, origin: Origin, options: StandstillOptions) -> tuple[Array, Array]:
+def fix_speeds(fixes: GnssFixes, origin: Origin) -> tuple[Array, Array]:
     """Horizontal speed of each fix (M,) m/s, NaN unknown, and the limit (M,) m/s below which it counts as stopped.
 
     Doppler velocity is averaged as a vector, so that its noise does not pass for speed; else the speed as sent; else
     positions are differenced, with a limit that their noise allows.
     """
     assert fixes.speed is not None
-    limit = np.full(len(fixes), options.max_speed)
+    limit = np.full(len(fixes), OPTIONS.max_speed)
     step = float(np.median(np.diff(fixes.t))) if len(fixes) > 1 else 1.0
-    window = max(options.speed_window, 3.0 * step)  # at least three fixes
+    window = max(OPTIONS.speed_window, 3.0 * step)  # at least three fixes
     velocity = np.stack([_windowed_mean(fixes.t, fixes.velocity_n[:, i], window) for i in range(2)])
     speed = np.hypot(*velocity)
     speed = np.where(np.isfinite(speed), speed, _windowed_mean(fixes.t, fixes.speed, window))
@@ -150,7 +148,7 @@ def fix_speeds(fixes: GnssFixes, origin: Origin, options: StandstillOptions) -> 
     if np.any(unknown):
         from_positions, sigma = _speed_from_positions(fixes, origin)
         speed = np.where(unknown, from_positions, speed)
-        limit[unknown] = np.clip(3.0 * sigma, options.max_speed, MAX_POSITION_SPEED)[unknown]
+        limit[unknown] = np.clip(3.0 * sigma, OPTIONS.max_speed, MAX_POSITION_SPEED)[unknown]
     return speed, limit
 
 
@@ -188,7 +186,7 @@ def _white_noise(position: Array) -> float:
     return float(MAD_TO_SIGMA * np.median(np.abs(bend)) / np.sqrt(1.5))
 
 
-def _is_stopped(centre: Array, fix_t: Array, speed: Array, limit: Array, options: StandstillOptions) -> BoolArray:
+def _is_stopped(centre: Array, fix_t: Array, speed: Array, limit: Array) -> BoolArray:
     """Whether all fixes from a step before `centre` (B,) until the latency after it are below their limit."""
     known = np.isfinite(speed)
     fix_t, is_moving = fix_t[known], speed[known] > limit[known]
@@ -196,7 +194,7 @@ def _is_stopped(centre: Array, fix_t: Array, speed: Array, limit: Array, options
         return np.zeros(len(centre), dtype=np.bool_)
     step = float(np.median(np.diff(fix_t))) if fix_t.size > 1 else 1.0
     low = np.searchsorted(fix_t, centre - 0.3 - step)
-    high = np.searchsorted(fix_t, centre + options.latency + step)
+    high = np.searchsorted(fix_t, centre + OPTIONS.latency + step)
     moving = np.concatenate([[0], np.cumsum(is_moving)])
     return np.asarray((high > low) & (moving[high] == moving[low]))
 
@@ -219,12 +217,12 @@ class _Blocks:
     occupied: Array
 
     @staticmethod
-    def of(values: Array, edges: IntArray, options: StandstillOptions) -> "_Blocks":
+    def of(values: Array, edges: IntArray) -> "_Blocks":
         """Sum up values (N, 3) of blocks that begin at the rows `edges` (B + 1,), the last one being N."""
         count, size = np.diff(edges).astype(np.float64), edges.size - 1
         filled = np.maximum(count, 1.0)
         has = (count > 0.0).astype(np.float64)
-        k = _windowed(has, options)
+        k = _windowed(has)
         few = thinned(values, max(1, len(values) // ENOUGH))
         usual = np.median(few, axis=0)  # keeps the sums of squares precise
         mean, inside = np.zeros((3, size)), np.zeros((3, size))
@@ -240,12 +238,12 @@ class _Blocks:
                 rest = values[part, axis] - np.repeat(usual[axis] + mean[axis, here], length)
                 inside[axis, here] += np.add.reduceat(rest * rest, first)
             release(values)
-        between = sum(_windowed(m**2, options) - _windowed(m, options) ** 2 / np.maximum(k, 1.0) for m in mean)
-        within = _windowed(np.sum(inside, axis=0), options)
-        freedom = np.maximum(_windowed(np.maximum(count - 1.0, 0.0), options), 1.0)
+        between = sum(_windowed(m**2) - _windowed(m) ** 2 / np.maximum(k, 1.0) for m in mean)
+        within = _windowed(np.sum(inside, axis=0))
+        freedom = np.maximum(_windowed(np.maximum(count - 1.0, 0.0)), 1.0)
         between = np.maximum(between, 0.0) / np.maximum(k - 1.0, 1.0)
-        around = usual + np.stack([_windowed(m, options) for m in mean], axis=1) / np.maximum(k, 1.0)[:, None]
-        return _Blocks(around, between, within / freedom, _windowed(count, options) / np.maximum(k, 1.0), k)
+        around = usual + np.stack([_windowed(m) for m in mean], axis=1) / np.maximum(k, 1.0)[:, None]
+        return _Blocks(around, between, within / freedom, _windowed(count) / np.maximum(k, 1.0), k)
 
 
 def _within(edges: IntArray, part: slice) -> tuple[IntArray, IntArray, IntArray]:
@@ -256,33 +254,33 @@ def _within(edges: IntArray, part: slice) -> tuple[IntArray, IntArray, IntArray]
     return here, edges[here], length[here]
 
 
-def _windowed(values: Array, options: StandstillOptions) -> Array:
+def _windowed(values: Array) -> Array:
     """Sum over the window of blocks around each, (B,)."""
-    half = options.blocks // 2
-    return np.convolve(values, np.ones(options.blocks))[half : half + len(values)]
+    half = OPTIONS.blocks // 2
+    return np.convolve(values, np.ones(OPTIONS.blocks))[half : half + len(values)]
 
 
-def _is_steady(blocks: _Blocks, floor: float, options: StandstillOptions) -> BoolArray:
-    explained = options.steadiness * blocks.within / np.maximum(blocks.count, 1.0)
+def _is_steady(blocks: _Blocks, floor: float) -> BoolArray:
+    explained = OPTIONS.steadiness * blocks.within / np.maximum(blocks.count, 1.0)
     enough = blocks.occupied >= FEWEST_BLOCKS
     return np.asarray(enough & (blocks.between <= np.maximum(explained, 3.0 * floor**2)))
 
 
-def _is_quiet(blocks: _Blocks, bound: float, options: StandstillOptions) -> BoolArray:
+def _is_quiet(blocks: _Blocks, bound: float) -> BoolArray:
     scatter = np.sqrt(blocks.within)
     known = scatter[blocks.occupied >= FEWEST_BLOCKS]
     if known.size == 0:
         return np.zeros(len(scatter), dtype=np.bool_)
-    level = max(options.quiet_ratio * float(np.percentile(known, 10.0)), 0.1 * bound)
+    level = max(OPTIONS.quiet_ratio * float(np.percentile(known, 10.0)), 0.1 * bound)
     return np.asarray(scatter <= min(level, np.sqrt(3.0) * bound))
 
 
-def _is_lifeless(blocks: _Blocks, is_driven: BoolArray, options: StandstillOptions) -> BoolArray:
+def _is_lifeless(blocks: _Blocks, is_driven: BoolArray) -> BoolArray:
     """Whether blocks (B,) scatter by far less than those in which the kart is driven; none do where it never is."""
     scatter, enough = np.sqrt(blocks.within), blocks.occupied >= FEWEST_BLOCKS
     driven = scatter[enough & is_driven]
     usual = float(np.median(driven)) if driven.size else 0.0
-    return np.asarray(enough & (scatter < options.lifeless[0] * usual))
+    return np.asarray(enough & (scatter < OPTIONS.lifeless[0] * usual))
 
 
 def _known(t: Array, values: Array) -> tuple[Array, Array]:
@@ -291,9 +289,9 @@ def _known(t: Array, values: Array) -> tuple[Array, Array]:
     return (t[known], values[known]) if known.any() else (np.zeros(1), np.zeros(1))
 
 
-def believed_at_rest(fixes: GnssFixes, origin: Origin, standing: BoolArray) -> BoolArray:
-    """Mask (N,) of the fixes of stands in which none says that the kart moves; standing (N,): fixes at rest."""
-    speed, limit = fix_speeds(fixes, origin, StandstillOptions())
+def confirmed_at_rest(fixes: GnssFixes, origin: Origin, standing: BoolArray) -> BoolArray:
+    """Mask (N,) of the fixes of stops in which no fix is moving; standing (N,): fixes at rest."""
+    speed, limit = fix_speeds(fixes, origin)
     out = standing.copy()
     for first, after in zip(*runs_of(standing), strict=True):
         out[first:after] = not np.any(speed[first:after] > limit[first:after])
@@ -309,7 +307,7 @@ def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:
     return np.asarray(np.cumsum(edges[:-1]) > 0)
 
 
-def _without_turned_runs(still: BoolArray, rate: _Blocks, bias: Array | None, options: StandstillOptions) -> BoolArray:
+def _without_turned_runs(still: BoolArray, rate: _Blocks, bias: Array | None) -> BoolArray:
     """Return the mask (B,) of blocks less the runs in which the kart was turned; bias (3,) rad/s or unknown.
 
     Of one that is turned at an end alone, when it sets off for one, the rest stays.
@@ -318,9 +316,9 @@ def _without_turned_runs(still: BoolArray, rate: _Blocks, bias: Array | None, op
     out = np.zeros_like(still)
     for first, after in zip(*runs_of(still), strict=True):
         mean, unsure = rate.mean[first:after], chance[first:after]
-        at_rest = np.linalg.norm(mean - np.median(mean, axis=0), axis=1) <= options.turning + unsure
+        at_rest = np.linalg.norm(mean - np.median(mean, axis=0), axis=1) <= OPTIONS.turning + unsure
         if bias is not None and np.any(
-            np.linalg.norm(mean - bias, axis=1)[at_rest] > (options.off_bias + unsure)[at_rest]
+            np.linalg.norm(mean - bias, axis=1)[at_rest] > (OPTIONS.off_bias + unsure)[at_rest]
         ):
             continue
         begins, ends = runs_of(at_rest)

@@ -3,8 +3,7 @@ import pytest
 
 from smoother import so3
 from smoother.fit.standstill import (
-    StandstillOptions,
-    believed_at_rest,
+    confirmed_at_rest,
     detect_standstill,
     fix_speeds,
     session_standstill,
@@ -128,11 +127,11 @@ def test_unknown_speeds_are_as_good_as_no_fixes():
     assert not np.any(drive.detect())
 
 
-def test_rests_shorter_than_asked_for_are_left_out():
-    drive = Drive()
-    drive.fix_speed = np.where((drive.fix_t > 50.0) & (drive.fix_t < 53.5), 0.0, 5.0)
-    assert np.any(drive.detect())
-    assert not np.any(drive.detect(options=StandstillOptions(shortest=3.0)))
+def test_rests_shorter_than_a_second_are_left_out():
+    for until, is_found in ((53.5, True), (52.0, False)):
+        drive = Drive()
+        drive.fix_speed = np.where((drive.fix_t > 50.0) & (drive.fix_t < until), 0.0, 5.0)
+        assert np.any(drive.detect()) == is_found
 
 
 def test_on_the_bench_rest_is_told_from_turning_without_fixes():
@@ -197,13 +196,13 @@ def fixes_at(position, velocity=None, speed=None, step=0.2):
 
 def test_doppler_noise_does_not_pass_for_speed():
     velocity = 0.15 * rng(5).normal(size=(300, 3))
-    speed, limit = fix_speeds(fixes_at(np.zeros((300, 2)), velocity), ORIGIN, StandstillOptions())
+    speed, limit = fix_speeds(fixes_at(np.zeros((300, 2)), velocity), ORIGIN)
     assert np.mean(np.hypot(velocity[:, 0], velocity[:, 1]) > 0.3) > 0.1  # taken one by one they would move
     assert np.all(speed < limit)
 
 
 def test_speed_as_sent_is_used_where_there_is_no_velocity():
-    speed, limit = fix_speeds(fixes_at(np.zeros((50, 2)), speed=np.full(50, 3.0)), ORIGIN, StandstillOptions())
+    speed, limit = fix_speeds(fixes_at(np.zeros((50, 2)), speed=np.full(50, 3.0)), ORIGIN)
     np.testing.assert_allclose(speed, 3.0)
     np.testing.assert_allclose(limit, 0.3)
 
@@ -211,14 +210,14 @@ def test_speed_as_sent_is_used_where_there_is_no_velocity():
 @pytest.mark.parametrize("true_speed", [0.0, 5.0])
 def test_positions_alone_give_a_speed_with_a_limit_that_their_noise_allows(true_speed):
     position = np.stack([true_speed * 0.2 * np.arange(300), np.zeros(300)], axis=1) + 2.5 * rng(6).normal(size=(300, 2))
-    speed, limit = fix_speeds(fixes_at(position), ORIGIN, StandstillOptions())
+    speed, limit = fix_speeds(fixes_at(position), ORIGIN)
     known = np.isfinite(speed)
     assert np.mean(known) > 0.9
     assert np.mean(speed[known] < limit[known]) > 0.9 if true_speed == 0.0 else np.all(speed[known] > limit[known])
 
 
 def test_a_single_fix_says_nothing():
-    speed, _ = fix_speeds(fixes_at(np.zeros((1, 2))), ORIGIN, StandstillOptions())
+    speed, _ = fix_speeds(fixes_at(np.zeros((1, 2))), ORIGIN)
     assert np.isnan(speed[0])
 
 
@@ -309,4 +308,4 @@ def test_what_fixes_say_in_a_stand_counts_where_none_of_them_moves():
     zero = np.zeros(t.size)
     fixes = GnssFixes(t, zero + 45.0, zero + 10.0, zero, velocity)
     standing = (t < 20.0) | (t > 40.0)
-    np.testing.assert_array_equal(believed_at_rest(fixes, ORIGIN, standing), t > 40.0)
+    np.testing.assert_array_equal(confirmed_at_rest(fixes, ORIGIN, standing), t > 40.0)

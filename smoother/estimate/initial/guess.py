@@ -27,7 +27,7 @@ from smoother.estimate.preprocess.path_motion import MIN_SPEED, PathMotion, near
 from smoother.estimate.preprocess.pauses import NO_PAUSES, Pauses
 from smoother.estimate.solvers.identify import Problem
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
-from smoother.fit.standstill import believed_at_rest, session_standstill
+from smoother.fit.standstill import confirmed_at_rest, session_standstill
 from smoother.samples import Session
 
 DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
@@ -192,7 +192,7 @@ def _measurements(
     assert gnss.sigma_velocity is not None
     at_rest = session_standstill(session, gyro_bias=gyro_bias_s)
     standing = _all_between(session.imu.t, at_rest, gnss.t - MAX_LATENCY, gnss.t)
-    believed = believed_at_rest(gnss, session.origin, standing)
+    believed = confirmed_at_rest(gnss, session.origin, standing)
     scale = _relative(gnss.sigma_velocity)
     scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, believed), scale)
     ground, claims = far_from_heights(_heights(session), t), claims_of(gnss)
