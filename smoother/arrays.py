@@ -35,6 +35,26 @@ def frozen_int(value: npt.ArrayLike, shape: Sequence[int | None], name: str) -> 
     return array
 
 
+def numbers(value: Any, shape: Sequence[int], largest: float = np.inf) -> Array:
+    """Return a value of a settings file as a read-only array. Raises ValueError unless it is finite numbers of a shape.
+
+    A text, a truth value, or what is not below `largest`, is no such number.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.empty(0)
+    if array.shape != tuple(shape) or not np.all(np.abs(array) < largest) or _holds_text(value):
+        wanted = f"{' x '.join(map(str, shape))} finite numbers" if shape else "a finite number"
+        raise ValueError(f"must be {wanted}")
+    array.flags.writeable = False
+    return array
+
+
+def _holds_text(value: Any) -> bool:
+    return any(map(_holds_text, value)) if isinstance(value, list) else isinstance(value, str | bool)
+
+
 def freeze(instance: object, **shapes: Sequence[int | None]) -> None:
     """Make the named arrays of a frozen dataclass read-only, each of its shape; see :func:`frozen`."""
     for name, shape in shapes.items():

@@ -8,7 +8,7 @@ from typing import TypeGuard
 
 import numpy as np
 
-from smoother.arrays import Array, frozen
+from smoother.arrays import Array, frozen, numbers
 from smoother.disc import pieces, release, roomy
 from smoother.documents import load_toml, replacing
 from smoother.errors import ConfigError
@@ -346,20 +346,9 @@ def _section(document: dict[str, object], table: str, path: Path) -> dict[str, o
 
 def _numbers(value: object, shape: tuple[int, ...], path: Path, table: str, key: str) -> Array:
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.empty(0)
-    if array.shape != shape or not np.all(np.abs(array) < WILD) or _holds_other(value):
-        wanted = f"{' x '.join(map(str, shape))} finite numbers" if shape else "a finite number"
-        raise ConfigError(f"{path.name}: [{table}] {key} must be {wanted}")
-    return array
-
-
-def _holds_other(value: object) -> bool:
-    """Whether something in a value of the file is no number, but would be taken for one: a truth value, or a text."""
-    if isinstance(value, list):
-        return any(_holds_other(item) for item in value)
-    return isinstance(value, bool | str)
+        return numbers(value, shape, WILD)
+    except ValueError as error:
+        raise ConfigError(f"{path.name}: [{table}] {key} {error}") from error
 
 
 def _require_credible(name: str, value: Array, path: Path, table: str, key: str) -> None:

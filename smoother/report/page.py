@@ -5,32 +5,18 @@ serialising nine figures) and 2.1 MB, as much as smoothing ten minutes, and its 
 by style sheet.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from smoother.estimate.judge.check import USELESS, Check, check
-from smoother.estimate.judge.quality import Quality
-from smoother.laps.results import LapAnalysis
 from smoother.report import page_sections as words
 from smoother.report import page_trust
 from smoother.report.files import replacing
 from smoother.report.page_charts import figure, grip, linked, picker, styled
 from smoother.report.page_data import MOST_DRAWN, Document, Numbers, drawn_laps, lap_name, page_data, stretches
 from smoother.report.page_html import element
+from smoother.report.page_sections import Report as Report
 from smoother.samples import RawImu, RawMag, RawSession, Session
-from smoother.trajectory import Trajectory
-
-
-@dataclass(frozen=True, eq=False)
-class Report:
-    """Data of the page. baseline, laps: None where there are none."""
-
-    session: Session
-    smoothed: Trajectory
-    baseline: Trajectory | None
-    laps: LapAnalysis | None
-    quality: Quality
 
 
 def write_page(path: Path, report: Report) -> None:
@@ -41,9 +27,7 @@ def write_page(path: Path, report: Report) -> None:
 
 def page(report: Report) -> str:
     """Return the page as text."""
-    content = words.PageContent(
-        report.session, report.smoothed, report.baseline, report.laps, report.quality, recorded_check(report.session)
-    )
+    content = words.PageContent(**vars(report), check=recorded_check(report.session))
     numbers = page_data(Numbers(report.session, report.smoothed, report.baseline, report.laps))
     body = [
         words.header(content),

@@ -33,14 +33,20 @@ OF_SECTORS = "The ± of a sector is that of its difference from the same sector 
 
 
 @dataclass(frozen=True, eq=False)
-class PageContent:
-    """Data of the page. check: of the recording as the sensors delivered it."""
+class Report:
+    """Data of the page. baseline, laps: None where there are none."""
 
     session: Session
     smoothed: Trajectory
     baseline: Trajectory | None
     laps: LapAnalysis | None
     quality: Quality
+
+
+@dataclass(frozen=True, eq=False)
+class PageContent(Report):
+    """The same with the check of the recording as the sensors delivered it."""
+
     check: Check
 
     @property

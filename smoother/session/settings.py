@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, numbers
 from smoother.config import GnssTiming, ImuNoise, MagnetometerUse, Mounting, SessionConfig
 from smoother.documents import load_toml
 from smoother.errors import ConfigError
@@ -192,25 +192,8 @@ def _declination(value: Any) -> float:
     return number
 
 
-def _array(value: Any, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.empty(0)
-    if array.shape != shape or not np.all(np.isfinite(array)) or _holds_text(value):
-        raise ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
-    array.flags.writeable = False
-    return array
-
-
-def _holds_text(value: Any) -> bool:
-    if isinstance(value, list):
-        return any(_holds_text(item) for item in value)
-    return isinstance(value, str | bool)
-
-
 def _lever_arm(value: Any) -> Array:
-    arm = _array(value, (3,))
+    arm = numbers(value, (3,))
     if np.max(np.abs(arm)) > LONGEST_LEVER_ARM or np.linalg.norm(arm) > LONGEST_LEVER_ARM:  # the square may overflow
         raise ValueError(f"is longer than {LONGEST_LEVER_ARM:.0f} m; it is in metres, from the IMU to the antenna")
     return arm
@@ -218,7 +201,7 @@ def _lever_arm(value: Any) -> Array:
 
 def _rotation(value: Any) -> Array:
     """The rotation nearest to the matrix as written (polar decomposition), if it is near one at all."""
-    matrix = _array(value, (3, 3))
+    matrix = numbers(value, (3, 3))
     largest = np.max(np.abs(matrix))  # the product of wild numbers overflows
     if largest > 1.0 + ROTATION_TOLERANCE or np.max(np.abs(matrix @ matrix.T - np.eye(3))) > ROTATION_TOLERANCE:
         raise ValueError("is no rotation: its rows must have length 1 and stand at right angles")
