@@ -13,8 +13,10 @@ from smoother.words import measured
 
 PROCEDURE = "noise at rest"
 SHORTEST = 60.0  # s, for the noise density; the bias instability needs ten minutes, the random walk an hour
-_ADVICE = "let the box lie still for ten minutes, better an hour"
-COMMENT = "# of the box at rest, in the form of session.toml. A kart shakes it much more: leave it to `smooth` there."
+_ADVICE = "let the logger lie still for ten minutes, better an hour"
+COMMENT = (
+    "# of the logger at rest, in the form of session.toml. A kart shakes it much more: leave it to `smooth` there."
+)
 
 
 def calibrate(recording: Recording, calibration: Calibration) -> Outcome:
@@ -70,7 +72,7 @@ def _drift(figures: dict[str, NoiseFigures], curves: dict[str, AllanDeviation]) 
     for name, curve in curves.items():
         excess = curve.deviation - figures[name].allan_deviation(curve.tau)
         if np.any(excess[-3:] > 3.0 * curve.sigma[-3:]):
-            drifting.append(f"the {name} drifts more than noise does; let the box warm up for 20 min before")
+            drifting.append(f"the {name} drifts more than noise does; let the logger warm up for 20 min before")
     return tuple(drifting)
 
 

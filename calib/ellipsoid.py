@@ -24,7 +24,7 @@ def calibrate(recording: Recording) -> Outcome:
     if fit.coverage < LEAST_COVERAGE:
         raise FitError(
             f"the readings cover only {100 * fit.coverage:.0f} % of the sphere; turn the sides "
-            f"{', '.join(missing) or 'all six'} of the box to the ground too, slowly, while turning it about itself "
+            f"{', '.join(missing) or 'all six'} of the logger to the ground too, slowly, while turning it about itself "
             "(south of the equator: to the sky)"
         )
     growth = correlation_growth(np.linalg.norm(fit.apply(readings[fit.is_used]), axis=1) - 1.0)
@@ -67,7 +67,9 @@ def _readings(recording: Recording) -> tuple[Array, str]:
     if recording.mag is None:
         raise FitError("no magnetometer was recorded")
     if recording.is_driven:
-        raise FitError("a kart that drives stays level; turn the box in every direction by hand, or use the laps alone")
+        raise FitError(
+            "a kart that drives stays level; turn the logger in every direction by hand, or use the laps alone"
+        )
     turning = _while_turned(recording)
     if np.count_nonzero(turning) < FEWEST_TURNING:
         return recording.mag.field, "the magnetometer"

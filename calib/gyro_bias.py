@@ -33,7 +33,7 @@ def calibrate(recording: Recording, use_first_samples: bool = False) -> Outcome:
     if use_first_samples:
         return _of_first(recording)
     if not recording.positions:
-        raise FitError("the box never lay still for three seconds; lay it down and do not touch it for a minute")
+        raise FitError("the logger never lay still for three seconds; lay it down and do not touch it for a minute")
     at_rest = _inside(recording)
     noise = fit_gyro_bias(recording.rate, at_rest).noise_covariance
     bias, sigma = mean_bias(recording)

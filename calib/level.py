@@ -22,7 +22,7 @@ DECLINATION_SIGMA, INCLINATION_SIGMA = 0.36 * DEG, 0.2 * DEG  # error model of t
 FEWEST_READINGS = 5
 OUTLIER = 5.0  # times the median distance of a reading
 AXES_SIGMA = 0.5 * DEG  # rotation between two chips on one board
-COMMENT = "# of the box as it lay; `smooth` does not use it: it finds the mounting while driving"
+COMMENT = "# of the logger as it lay; `smooth` does not use it: it finds the mounting while driving"
 DRAWN = 4000  # samples in the figure
 
 
@@ -42,7 +42,7 @@ def calibrate(
     if recording.imu is None:
         raise FitError("no motion sensor was recorded")
     if not recording.positions:
-        raise FitError("the box never lay still, so nothing says where up is")
+        raise FitError("the logger never lay still, so nothing says where up is")
     rest = max(recording.positions, key=lambda position: position.end - position.start)
     force, force_covariance = _force(rest, calibration)
     model = _model(recording, place, date)

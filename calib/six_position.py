@@ -14,7 +14,7 @@ from smoother.words import counted
 
 PROCEDURE = "accelerometer"
 TURNS_PROCEDURE = "gyroscope scale"
-_PRIOR = "not seen: lay the box on edges too"
+_PRIOR = "not seen: lay the logger on edges too"
 
 
 def calibrate(recording: Recording) -> Outcome:
@@ -63,7 +63,7 @@ def fit_positions(recording: Recording) -> AccelFit:
     if recording.imu is None:
         raise FitError("no motion sensor was recorded")
     if recording.is_driven:
-        raise FitError("a kart that drives shows too few positions; lay the box on its six faces on a bench")
+        raise FitError("a kart that drives shows too few positions; lay the logger on its six faces on a bench")
     return fit_accelerometer(recording.positions)
 
 

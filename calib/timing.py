@@ -97,7 +97,7 @@ def calibrate_against_gyro(recording: Recording, calibration: Calibration) -> Ou
     if calibration.hard_iron is None or calibration.soft_iron is None:
         raise FitError("the magnetometer has to be calibrated before it can be compared with the gyroscope")
     if recording.is_driven:
-        raise FitError("a kart turns too slowly about too few axes; turn the box by hand")
+        raise FitError("a kart turns too slowly about too few axes; turn the logger by hand")
     _, rate = recording.calibrated(calibration)
     field = calibration.apply_to_mag(recording.mag).field_s
     found = magnetometer_against_gyro(recording.imu.t, rate, recording.mag.t, field)

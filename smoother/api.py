@@ -216,10 +216,10 @@ def laps(
     from smoother.laps.results import GivenLines
     from smoother.laps.stage import Stated, analyse_rows, fix_path, options_on, read_stated, tracks_from
 
-    said = Stated() if folder is None else read_stated(session.config, folder, folder)
+    stated = Stated() if folder is None else read_stated(session.config, folder, folder)
     if isinstance(line, str):
-        said = Stated(tracks_from(line), said.official)
-    options = replace(options_on(trajectory, session.origin, said), reference=reference)
+        stated = Stated(tracks_from(line), stated.official)
+    options = replace(options_on(trajectory, session.origin, stated), reference=reference)
     if line is not None and not isinstance(line, str):
         options = replace(options, lines=line if isinstance(line, GivenLines) else GivenLines(line))
     return analyse_rows(trajectory, fix_path(session), options)

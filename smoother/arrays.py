@@ -90,7 +90,7 @@ def runs_of(mask: BoolArray) -> tuple[IntArray, IntArray]:
 def median(values: Array) -> float:
     """Return what `np.median` gives of values (N,), N > 0; of some thousands in a fifth of the time.
 
-    Numpy looks for both middle ones of an even number at once, and only one at a time is looked for quickly.
+    Numpy selects both middle ones of an even number at once; selecting one at a time is faster.
     """
     middle = values.size // 2
     parted = np.partition(values, middle)  # what is not a number stands last

@@ -10,7 +10,7 @@ from smoother.arrays import Array
 
 @dataclass(frozen=True)
 class Mounting:
-    """How the box sits in the kart: `lever_arm_b` (3,) m from IMU to antenna; `R_bs` (3, 3), sensor to body axes."""
+    """Mounting of the logger: `lever_arm_b` (3,) m from IMU to antenna; `R_bs` (3, 3), sensor to body axes."""
 
     lever_arm_b: Array | None = None
     R_bs: Array | None = None

@@ -4,7 +4,7 @@ Frames
     n   navigation: North-West-Up, fixed to the Earth at the session's origin. The Earth's rotation (15 deg/h) lies
         below the bias of the sensors and is not modelled.
     b   body: Forward-Left-Up of the kart, at the IMU.
-    s   axes of one sensor as it was mounted in the box. `R_bs` takes s to b; it is a constant of the session, and as
+    s   axes of one sensor as it was mounted in the logger. `R_bs` takes s to b; it is a constant of the session, and as
         long as it is unknown everything is estimated in s and turned into b at the end.
     e   Earth-fixed (WGS-84).
 

@@ -63,13 +63,15 @@ def _from(mag_source: str, value: AppliedValue) -> AppliedValue:
 
 
 def _doubts(session: Session) -> list[Problem]:
-    """Say when a calibration does not fit the magnetometer: another box, or iron that came after it."""
+    """A problem where the calibration does not fit the magnetometer: another logger, or iron that was added later."""
     if session.mag is None or not session.mag.is_calibrated or not len(session.mag.t):
         return []
     length = float(np.median(np.linalg.norm(session.mag.field_s, axis=1)))
     if UNIT_FIELD[0] <= length <= UNIT_FIELD[1]:
         return []
-    text = f"the calibrated magnetic field has length {length:.2f} instead of 1; calibrate the box where it is mounted"
+    text = (
+        f"the calibrated magnetic field has length {length:.2f} instead of 1; calibrate the logger where it is mounted"
+    )
     return [Problem("mag_calibration_misfit", text)]
 
 

@@ -69,7 +69,7 @@ def _section(title: str, codes: Mapping[str, Explanation]) -> Iterator[str]:
 
 
 def _heading(code: str) -> str:
-    """The code, or all codes that a `*_` stands for, without those that have an entry of their own."""
+    """The code, or all codes that a `*_` includes, without those that have an entry of their own."""
     if not code.startswith(ANY_STREAM):
         return f"`{code}`"
     codes = (f"{stream}_{code.removeprefix(ANY_STREAM)}" for stream in STREAMS)

@@ -1,7 +1,7 @@
 """What sensors deliver: raw (in counts, axes s) and calibrated (SI, axes s), as different types.
 
 RawSession is what a reader returns; `smoother.calibration.Calibration.apply` turns it into a Session, which is all an
-estimator ever sees. Everything stays in sensor axes s, because how the box sits in the kart is an unknown that the
+estimator ever sees. Everything stays in sensor axes s, because the mounting of the logger is an unknown that the
 estimator finds; only its result is in body axes b.
 
 All arrays are float64 and read-only; times are seconds on one clock per session, strictly increasing.
@@ -85,7 +85,7 @@ class RawImu:
     accel_scale is m/s^2 per count, gyro_scale rad/s per count (1.0 for files in SI). Full scale in SI, or None if
     the file does not say; clipping is judged by it. longest_step s: in a longer interval samples were lost, as the
     reader found from the stamps before it evened them out, or they come more slowly for a while (:func:`usual_steps`);
-    None where nobody looked. stamp_sigma s: of when samples were taken, where their stamps are too coarse to say.
+    None where this is unknown. stamp_sigma s: of when samples were taken, where their stamps are too coarse to say.
     """
 
     t: Array
@@ -179,7 +179,7 @@ class ImuSamples:
 
     @property
     def sampling(self) -> Sampling:
-        """How far apart samples are, and how well it is known when they were taken."""
+        """Interval of the samples, and the sigma of their times."""
         usual, squares, total = self.interval, 0.0, 0.0
         for part in pieces(len(self.t) - 1):
             steps = np.diff(self.t[part.start : part.stop + 1])

@@ -18,6 +18,6 @@ VARIABLES = (
 
 
 def start_none(surroundings: MutableMapping[str, str] = os.environ) -> None:
-    """Ask libraries that are not imported yet for one thread, where nobody asked for another number."""
+    """Set one thread for libraries that are not imported yet, where the environment sets no other number."""
     for name in VARIABLES:
         surroundings.setdefault(name, "1")

@@ -102,12 +102,12 @@ class Keyframes:
 
 
 BOX_ON_WHEEL = (
-    "box_on_wheel"  # the problem of a box that turns with the steering wheel, whose attitude is not the kart's
+    "box_on_wheel"  # the problem of a logger that turns with the steering wheel, whose attitude is not the kart's
 )
 
 IMU_SHAKEN = "imu_shaken"  # the problem of samples that the engine's vibration is folded into
 
-MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of axes that no mounting of a box explains
+MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of axes that no mounting explains
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ class UtcClock:
 
     @staticmethod
     def of_summary(session: Mapping[str, Any]) -> "UtcClock | None":
-        """Return the clock that the part `session` of a summary.json tells, None where the time of day is unknown.
+        """Return the clock that the part `session` of a summary.json holds, None where the time of day is unknown.
 
         Raises KeyError, TypeError or ValueError where it is damaged.
         """

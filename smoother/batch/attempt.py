@@ -30,8 +30,8 @@ from smoother.errors import SmootherError
 COMMAND = ("-P", "-m", "smoother.cli")  # -P: no module of the working directory stands in for ours
 """What Python is asked to run for each session."""
 STARTS = 2  # of a session that something outside killed: the system, short of memory for all, or a person
-LOOK = 0.02  # s between two looks at a process
-SAID = 65536  # bytes of what a process said that are looked at, the last ones
+LOOK = 0.02  # s between polls of a process
+MOST_STDERR = 65536  # bytes of the standard error of a process that are kept, the last ones
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "memory allocation of", "Cannot allocate memory", "can't start new thread")
 
 
@@ -41,12 +41,12 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class Ended:
-    """How a process ended: its exit code (negative: the signal), whether it ran out of time, its cost, its words."""
+    """How a process ended: its exit code (negative: the signal), whether it ran out of time, its cost, its stderr."""
 
     code: int
     is_late: bool
     cost: Cost
-    said: str
+    stderr: str
 
 
 def attempt(task: Task, stop: threading.Event | None = None, command: Sequence[str] = COMMAND) -> Outcome:
@@ -60,12 +60,12 @@ def attempt(task: Task, stop: threading.Event | None = None, command: Sequence[s
         ended = _until_it_ends_itself(task, stop, command)
     except OSError as error:
         return Outcome("broken", one_line(f"no process could be started ({error.strerror or error})"))
-    said = _judged(task, ended)
+    outcome = _judged(task, ended)
     with contextlib.suppress(OSError):  # a full disk: the outcome stands, and next time the session is smoothed again
-        _keep_words(task, said, ended)
-        if said.has_results:
-            record.keep(task, inputs, said)
-    return said
+        _keep_stderr(task, outcome, ended)
+        if outcome.has_results:
+            record.keep(task, inputs, outcome)
+    return outcome
 
 
 def _until_it_ends_itself(task: Task, stop: threading.Event, command: Sequence[str]) -> Ended:
@@ -153,7 +153,7 @@ def _megabytes(usage: resource.struct_rusage) -> float:
 
 
 def _last_of(words: IO[bytes]) -> str:
-    words.seek(max(0, words.seek(0, os.SEEK_END) - SAID))
+    words.seek(max(0, words.seek(0, os.SEEK_END) - MOST_STDERR))
     return words.read().decode("utf-8", errors="replace")
 
 
@@ -174,14 +174,14 @@ def _judged(task: Task, ended: Ended) -> Outcome:
 
 
 def _failure(task: Task, ended: Ended) -> tuple[State, str]:
-    lines = [line.strip() for line in ended.said.splitlines() if line.strip()]
+    lines = [line.strip() for line in ended.stderr.splitlines() if line.strip()]
     if ended.is_late:
         return "limit", f"not finished after {task.limits.seconds:g} s (--time-limit)"
     if ended.code == 2:
         return "unusable", _reason(task, lines)
     if any(word in line for word in OUT_OF_MEMORY for line in lines):
         return "limit", f"needs more than {task.limits.megabytes} MB of memory (--memory-limit)"
-    last = lines[-1] if lines else "nothing was said"
+    last = lines[-1] if lines else "no message"
     if ended.code < 0:
         name = signal.Signals(-ended.code).name if -ended.code in set(signal.Signals) else str(-ended.code)
         again = f", {ended.cost.starts} times" if ended.cost.starts > 1 else ""
@@ -190,16 +190,16 @@ def _failure(task: Task, ended: Ended) -> tuple[State, str]:
 
 
 def _reason(task: Task, lines: list[str]) -> str:
-    """The last thing that was said, without the name of the session, which stands beside it."""
+    """The last line of stderr, without the name of the session, which stands beside it."""
     last = lines[-1] if lines else "no reason was given"
     return last.removeprefix("smooth: ").removeprefix(f"{task.session}: ").removeprefix(f"{task.session}/")
 
 
-def _keep_words(task: Task, said: Outcome, ended: Ended) -> None:
-    """Keep what a run that broke had to say beside its results; nothing of earlier ones stays."""
+def _keep_stderr(task: Task, outcome: Outcome, ended: Ended) -> None:
+    """Keep the standard error of a run that broke beside its results; that of earlier runs is removed."""
     path = task.out / ERROR_LOG
-    if said.state == "broken" and ended.said:
+    if outcome.state == "broken" and ended.stderr:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(ended.said, encoding="utf-8", errors="replace")
+        path.write_text(ended.stderr, encoding="utf-8", errors="replace")
     else:
         path.unlink(missing_ok=True)

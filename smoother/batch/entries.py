@@ -1,7 +1,7 @@
 """The sessions of a batch as an index lists them: who drove what where, and the best laps of each kart and driver.
 
 Lap times are compared on one track only. A track is where sessions were driven: fixes within some kilometres, laps of
-one length; two names that were given tell two tracks apart even there.
+one length; two given names distinguish two tracks even there.
 """
 
 import math
@@ -16,7 +16,7 @@ from smoother.batch.task import Task, is_there
 
 FAR = 3000.0  # m between first fixes, of paddock and pit too: not the same track
 OTHER_LENGTH = 0.04  # of a track's length: another layout; the driven line differs by 1 % at the most
-METRES_PER_DEGREE = 111_320.0  # of latitude; enough for telling places apart
+METRES_PER_DEGREE = 111_320.0  # of latitude; enough to distinguish tracks
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Entry:
 
     @property
     def counts(self) -> bool:
-        """Whether its laps take part in a comparison: only results that are to be trusted do."""
+        """Whether its laps take part in a comparison: only results that passed the quality gate do."""
         return self.outcome is not None and self.outcome.state == "done" and self.facts.best_s is not None
 
 
@@ -53,7 +53,7 @@ class Entry:
 class Best:
     """The best lap of a kart or a driver on a track, in which session; of how many sessions and laps that count.
 
-    who : None for all those that nobody named.
+    who : None for all those without a name.
     """
 
     who: str | None
@@ -92,7 +92,7 @@ def with_tracks(entries: Sequence[Entry]) -> list[Entry]:
     named = [name(entry, place) for entry, place in zip(entries, places, strict=True)]
     where = {n: {k for m, k in zip(named, places, strict=True) if m == n} - {None} for n in set(named)}
     lengths = {i: f", {entry.facts.length_m:.0f} m" for entry, i in zip(entries, places, strict=True) if i is not None}
-    return [  # one name for layouts of several lengths: the length tells them apart
+    return [  # one name for layouts of several lengths: the length distinguishes them
         replace(entry, track=n if n is None or len(where[n]) < 2 or i is None else n + lengths[i])
         for entry, n, i in zip(entries, named, places, strict=True)
     ]

@@ -130,7 +130,7 @@ def _kart(folders: Sequence[str]) -> str:
 
 
 def _without_recording(folders: Sequence[str]) -> str:
-    """A line about folders beside sessions that hold none: else nobody misses a kart whose card was not copied."""
+    """A line about folders beside sessions that hold none, as of a kart whose card was not copied."""
     more = f" and {len(folders) - MOST_NAMED} more" if len(folders) > MOST_NAMED else ""
     return f"no recording in {', '.join(folders[:MOST_NAMED])}{more}"
 
@@ -182,7 +182,7 @@ def _of_file(path: Path) -> Recording:
         return one
     try:
         name = own_results_name(path)
-    except SmootherError:  # what is wrong is said when the session is read
+    except SmootherError:  # reported when the session is read
         name = ""
     return replace(_whole(list_files(path.parent)), path=path, name=name)
 
@@ -226,5 +226,5 @@ def _track_file(settings: Path) -> Path | None:
         path = None if named is None else folder / named.partition("#")[0].strip()
         is_there = path is not None and path.is_file() and path.resolve().is_relative_to(folder.resolve())
     except (SmootherError, OSError, ValueError, RuntimeError):
-        return None  # what is wrong is said when the session is read
+        return None  # reported when the session is read
     return path if is_there else None

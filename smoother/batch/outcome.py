@@ -75,7 +75,7 @@ class Outcome:
 
 
 def facts_of_results(out: Path) -> tuple[Facts, tuple[str, ...]]:
-    """Return the facts of a smoothed session, and why it is not to be trusted. Raises SmootherError, ValueError."""
+    """Return the facts of a smoothed session, and why it failed its quality gate. Raises SmootherError, ValueError."""
     document = load_json(out / SUMMARY)
     about, laps, analysis = (document.get(key) or {} for key in ("session", "laps", "lap_analysis"))
     origin, quality = document.get("origin") or {}, document.get("quality") or {}
@@ -103,15 +103,15 @@ def facts_of_results(out: Path) -> tuple[Facts, tuple[str, ...]]:
 
 
 def facts_of_settings(task: Task) -> Facts:
-    """Return what session.toml says of a session that has no results."""
+    """Return what session.toml states of a session that has no results."""
     try:
         settings = list_files(task.folder).find("session.toml")
         if settings is None:
             return Facts()
-        said = load_settings(settings)
+        stated = load_settings(settings)
     except SmootherError:
         return Facts()
-    return Facts(title=said.title, kart=said.kart, driver=said.driver, track=said.track)
+    return Facts(title=stated.title, kart=stated.kart, driver=stated.driver, track=stated.track)
 
 
 def one_line(text: str, longest: int = 400) -> str:

@@ -1,4 +1,4 @@
-"""sessions.html: the sessions of a batch on one page, with the looks of report.html; from disk, and on paper.
+"""sessions.html: the sessions of a batch on one page, in the style of report.html; from disk, and on paper.
 
 Like the report it is a tree of elements into which names go as text only. It reads as it stands; its script sorts and
 searches the table and switches unit and theme.
@@ -69,8 +69,8 @@ def page(title: str, entries: Sequence[Entry], tracks: Sequence[Track], director
 def _header(title: str, entries: Sequence[Entry], now: dt.datetime) -> Element:
     days = sorted({start[:10] for entry in entries if (start := _start(entry)) != DASH})
     span = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}" if days else ""
-    said = " · ".join(text for text in (span, f"written {local_day(now.timestamp())}") if text)
-    words = element("div", element("h1", title), element("p", said))
+    about = " · ".join(text for text in (span, f"written {local_day(now.timestamp())}") if text)
+    words = element("div", element("h1", title), element("p", about))
     return element("header", words, settings())
 
 
@@ -103,7 +103,7 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
 
 
 def _whose(best: Best, is_of_kart: bool) -> str:
-    """Whose lap it was, the session where nobody is named."""
+    """Whose lap it was, the session where no name is known."""
     if best.who is None:
         return _short(best.entry)
     return f"kart {best.who}" if is_of_kart and not best.who.lower().startswith("kart") else best.who
@@ -114,18 +114,18 @@ def _whose(best: Best, is_of_kart: bool) -> str:
 
 def _track(track: Track, number_: int, directory: Path) -> list[Element]:
     length = f", {track.length_m:.0f} m" if math.isfinite(track.length_m) and " m" not in track.name else ""
-    said = f"{counted(track.sessions, 'session')} with laps that count{length}. The ± is one sigma; laps of sessions "
+    note = f"{counted(track.sessions, 'session')} with laps that count{length}. The ± is one sigma; laps of sessions "
     parts = [_bests("kart", "driver", track.karts, directory), _bests("driver", "kart", track.drivers, directory)]
     shown = [part for part in parts if part is not None]
     return [
         element("h2", f"Best laps: {track.name}", id=f"track-{number_}"),
-        element("p", f"{said}that are not to be trusted are left out.", class_="soft"),
+        element("p", f"{note}that are not to be trusted are left out.", class_="soft"),
         element("div", *shown, class_="pair bests"),
     ]
 
 
 def _bests(who: str, other: str, bests: Sequence[Best], directory: Path) -> Element | None:
-    """The table of one kind; None where nobody is named."""
+    """The table of one kind; None where no name is known."""
     if not bests:
         return None
     head = ["", who, "best lap", "behind", other, "session", "laps"]

@@ -28,14 +28,14 @@ def finished(task: Task) -> Outcome | None:
         document = load_json(task.out / FILE_NAME)
         made_by = (document["form"], document["version"], tuple(document["arguments"]))
         known, results = document["inputs"], document["results"]
-        said = outcome.from_plain(document["outcome"])
+        kept = outcome.from_plain(document["outcome"])
     except (SmootherError, KeyError, TypeError, ValueError):
         return None
-    if made_by != (FORM, smoother.__version__, task.arguments) or not said.has_results:
+    if made_by != (FORM, smoother.__version__, task.arguments) or not kept.has_results:
         return None
     if known != digests(task.inputs, task.folder) or results != digests(_sealed(task.out), task.out):
         return None
-    return said if _are_whole(task) else None
+    return kept if _are_whole(task) else None
 
 
 def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
@@ -50,7 +50,7 @@ def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
     return found
 
 
-def keep(task: Task, inputs: dict[str, str], said: Outcome) -> None:
+def keep(task: Task, inputs: dict[str, str], made: Outcome) -> None:
     """Write the record of a session; `inputs` are the digests of its files before it was read. Raises OSError."""
     document = {
         "form": FORM,
@@ -58,14 +58,14 @@ def keep(task: Task, inputs: dict[str, str], said: Outcome) -> None:
         "arguments": task.arguments,
         "inputs": inputs,
         "results": digests(_sealed(task.out), task.out),
-        "outcome": asdict(said),
+        "outcome": asdict(made),
     }
     with replacing(task.out / FILE_NAME) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def _sealed(out: Path) -> tuple[Path, ...]:
-    """summary.json is written last, and by every run: it stands for all of the results."""
+    """summary.json is written last, and by every run: it represents all results."""
     return (out / SUMMARY,)
 
 

@@ -140,9 +140,9 @@ def _require_same_place(name: str, first_name: str, other: Stored, own: LapAnaly
 
     assert own.reference is not None
     track = np.mean(own.reference.position_n, axis=0)
-    apart = float(np.min(np.linalg.norm(other.trajectory.position_n[:, :2] - track, axis=1)))
-    if apart > FAR:
-        raise UsageError(f"{name}: was driven {apart / 1000.0:.0f} km away from {first_name}; compare one track")
+    distance = float(np.min(np.linalg.norm(other.trajectory.position_n[:, :2] - track, axis=1)))
+    if distance > FAR:
+        raise UsageError(f"{name}: was driven {distance / 1000.0:.0f} km away from {first_name}; compare one track")
 
 
 def _on_line_of(own: LapAnalysis, stored: Stored, lap: ReferenceLap | None) -> LapAnalysis:

@@ -104,11 +104,11 @@ def another_recording(directory: Path, raw: RawSession, is_renamed: bool) -> str
     is_renamed : the results are beside their recording, in a folder that was renamed.
     """
     document = read_summary(directory)
-    told = None if document is None else document.get("session")
-    if document is None or not isinstance(told, dict) or told.get("name") == raw.name:
+    about = None if document is None else document.get("session")
+    if document is None or not isinstance(about, dict) or about.get("name") == raw.name:
         return None
     is_same = is_renamed and document.get("inputs") == list(raw.inputs)
-    return None if is_same else str(told.get("name"))
+    return None if is_same else str(about.get("name"))
 
 
 def exports_in(directory: Path) -> list[str]:

@@ -39,11 +39,13 @@ SIMULATION_MARK = "truth_laps.csv"  # marks a folder whose simulated files may b
 @click.option("--no-imu", is_flag=True, help="GPS only.")
 @click.option("--no-mag", is_flag=True, help="No compass.")
 @click.option("--no-speed", is_flag=True, help="Fixes without speed and course.")
-@click.option("--told", is_flag=True, help="Write the true mounting, noise and latencies into session.toml.")
+@click.option(
+    "--told", "states_truth", is_flag=True, help="Write the true mounting, noise and latencies into session.toml."
+)
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Any other value; --list shows them.")
 @click.option("--list", "list_them", is_flag=True, help="List every value of this preset.")
 def simulate(
-    directory: Path | None, settings: tuple[str, ...], list_them: bool, form: str, told: bool, **choices: Any
+    directory: Path | None, settings: tuple[str, ...], list_them: bool, form: str, states_truth: bool, **choices: Any
 ) -> int:
     """Simulate a kart session into DIR, with truth.csv beside it for `smooth evaluate`.
 
@@ -66,7 +68,7 @@ def simulate(
         names = {name: choices[name] for name in ("track", "duration")}
         simulation = simulate_preset(choices["preset"], choices["seed"], **names, **changes)
         progress("writing", 0.5)
-        write(simulation, directory, form, told)
+        write(simulation, directory, form, states_truth)
     raw, length = simulation.raw, duration(choices["duration"])
     samples = 0 if raw.imu is None else len(raw.imu.t)
     text = f"{length}, {counted(len(raw.gnss), 'fix')}, {counted(samples, 'IMU sample')}, seed {choices['seed']}"
@@ -75,7 +77,7 @@ def simulate(
     return 0
 
 
-def write(simulation: Simulation, directory: Path, form: str, told: bool = False) -> None:
+def write(simulation: Simulation, directory: Path, form: str, states_truth: bool = False) -> None:
     """Write a simulation into a directory that is new, empty of sessions, or an earlier simulation.
 
     Raises UsageError rather than write over a recording, or where nothing can be written.
@@ -89,7 +91,7 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
         # files of another format or of further sensors would be read with the new ones, so they are removed
         with staged(directory, SIMULATION_MARK, SIMULATED_FILES) as staging:
             {"csv": write_csv, "klg": write_klg, "thesis": write_thesis}[form](simulation, staging)
-            write_toml = write_settings if told else write_title
+            write_toml = write_settings if states_truth else write_title
             # a .KLG holds the latency itself, and the thesis' logger did not know it
             write_toml(simulation, staging / "session.toml", states_delay=form == "csv")
     except OSError as error:

@@ -116,9 +116,9 @@ class _Features:
         self._count = self._cuts = 0
 
     def _properties(self) -> str:
-        told = {key: self._source.text(key) for key in ("title", "driver", "kart", "track") if self._source.text(key)}
+        texts = {key: self._source.text(key) for key in ("title", "driver", "kart", "track") if self._source.text(key)}
         lap = self._laps.get(int(self._lap if self._lap is not None else -1))
-        about: dict[str, object] = {"session": self._source.name, **told, "lap": None if lap is None else lap.number}
+        about: dict[str, object] = {"session": self._source.name, **texts, "lap": None if lap is None else lap.number}
         return json.dumps({**about, **({} if lap is None else _about(lap))}, ensure_ascii=False)
 
 

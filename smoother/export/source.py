@@ -53,7 +53,7 @@ class BestLap:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What one pass over trajectory.csv tells: rows, first and last time s, rate Hz, complete and logged columns."""
+    """Result of one pass over trajectory.csv: rows, first and last time s, rate Hz, complete and logged columns."""
 
     count: int
     start: float
@@ -67,7 +67,7 @@ class Survey:
 class Source:
     """A smoothed session in `directory`, to be written at `rate` Hz; None: as it is stored.
 
-    name and the texts about it are data from files. told_clock: of the time of day, None where the receiver never told
+    name and the texts about it are data from files. known_clock: of the time of day, None where the receiver never sent
     it (`has_utc`): times then count from the start of 1970.
     """
 
@@ -76,7 +76,7 @@ class Source:
     about: dict[str, str]
     origin: Origin
     survey: Survey
-    told_clock: UtcClock | None = None
+    known_clock: UtcClock | None = None
     laps: tuple[LapRow, ...] = ()
     rate: float | None = None
 
@@ -88,12 +88,12 @@ class Source:
     @property
     def has_utc(self) -> bool:
         """Whether the time of day is known."""
-        return self.told_clock is not None
+        return self.known_clock is not None
 
     @property
     def clock(self) -> UtcClock:
         """Of the time of day; counts from the first row on where that is unknown."""
-        return self.told_clock or UtcClock(self.start, 0.0)
+        return self.known_clock or UtcClock(self.start, 0.0)
 
     @property
     def row_rate(self) -> float:
@@ -185,14 +185,14 @@ def one_line(text: str) -> str:
 def _about(path: Path) -> tuple[dict[str, str], Origin, UtcClock | None]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        told, place = document["session"], document["origin"]
+        about, place = document["session"], document["origin"]
         origin = Origin(float(place["lat_deg"]), float(place["lon_deg"]), float(place["alt_m"]))
-        clock = UtcClock.of_summary(told)
+        clock = UtcClock.of_summary(about)
     except OSError as error:
         raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, KeyError, TypeError) as error:
         raise SessionError(f"{path}: damaged; smooth the session again") from error
-    return {key: value for key, value in told.items() if isinstance(value, str)}, origin, clock
+    return {key: value for key, value in about.items() if isinstance(value, str)}, origin, clock
 
 
 def _survey(path: Path) -> Survey:

@@ -110,7 +110,9 @@ def fit_noise(values: Array, rate: float) -> NoiseFigures:
 def _checked(values: Array) -> Array:
     values = np.asarray(values, dtype=np.float64)
     if len(values) < FEWEST_SAMPLES:
-        raise FitError(f"{len(values)} samples at rest are too few for an Allan deviation; let the box lie for minutes")
+        raise FitError(
+            f"{len(values)} samples at rest are too few for an Allan deviation; let the logger lie for minutes"
+        )
     if not np.all(np.isfinite(values)):
         raise FitError("some readings are not finite numbers; drop those rows first")
     return values

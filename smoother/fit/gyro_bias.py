@@ -51,7 +51,7 @@ def fit_gyro_bias(angular_rate: Array, is_at_rest: BoolArray | None = None) -> G
     chosen = rate if is_at_rest is None else rate[is_at_rest]
     chosen = chosen[np.all(np.isfinite(chosen), axis=1)]
     if len(chosen) < 2:
-        raise FitError(f"{len(chosen)} gyro readings at rest are too few for a bias; let the box stand still")
+        raise FitError(f"{len(chosen)} gyro readings at rest are too few for a bias; let the logger stand still")
     return GyroBias(np.mean(chosen, axis=0), np.cov(chosen, rowvar=False), len(chosen))
 
 
@@ -91,9 +91,7 @@ def fit_temperature(temperature: Array, angular_rate: Array) -> TemperatureFit:
     if len(T) < FEWEST_BATCHES:
         raise FitError(f"{len(T)} means at rest with a temperature are too few for the gyro's dependence on it")
     if np.ptp(T) < SMALLEST_SPAN:
-        raise FitError(
-            f"the temperature changed by only {np.ptp(T):.1f} K; switch the cold box on and let it warm up for 20 min"
-        )
+        raise FitError(f"the temperature changed by only {np.ptp(T):.1f} K; let the cold logger warm up for 20 min")
     middle = float(np.mean(T))
     centred = T - middle
     spread = float(centred @ centred)

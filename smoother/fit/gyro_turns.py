@@ -83,7 +83,7 @@ def fit_gyro_matrix(
     if len(turns) < FEWEST_TURNS:
         raise FitError(
             f"{counted(len(turns), 'turn')} between resting positions: too few for the gyroscope's scale, which needs "
-            f"{FEWEST_TURNS}; lay the box on more faces and edges"
+            f"{FEWEST_TURNS}; lay the logger on more faces and edges"
         )
     matrix = np.eye(3)
     for _ in range(10):

@@ -207,16 +207,16 @@ def _process(translation_n: Array, covariance: Array, crossings: LapCrossings) -
 def _log_likelihood(translation_n: Array, covariance: Array, within: Array) -> Array:
     """Restricted log likelihood (S, T) of LOG_SIGMA and LOG_TAU; within (n, WITHIN) s: times of each lap.
 
-    All laps have the same covariance, so that axes apart are those of it, and one basis for each tau serves all sigmas.
+    All laps have the same covariance, so that its axes separate them, and one basis for each tau serves all sigmas.
     """
     n = len(translation_n)
     noise, axes = np.linalg.eigh(covariance)
     contrasts = np.linalg.svd(np.eye(n) - 1.0 / n)[0][:, : n - 1]  # free of the mean, which is the line's
     seen = contrasts.T @ translation_n @ axes
-    apart = np.abs(within[:, None, :, None] - within[None, :, None, :])
+    separation = np.abs(within[:, None, :, None] - within[None, :, None, :])
     out = np.zeros((len(LOG_SIGMA), len(LOG_TAU)))
     for k, log_tau in enumerate(LOG_TAU):
-        alike = np.exp(-apart / np.exp(log_tau)).mean(axis=(2, 3))
+        alike = np.exp(-separation / np.exp(log_tau)).mean(axis=(2, 3))
         own, basis = np.linalg.eigh(contrasts.T @ alike @ contrasts)
         squares = (basis.T @ seen) ** 2
         variance = np.exp(2.0 * LOG_SIGMA)[:, None, None] * np.maximum(own, 0.0)[:, None] + np.maximum(noise, 1e-8)

@@ -1,4 +1,4 @@
-"""Attitude of a box at rest: roll and pitch from gravity, yaw from the magnetometer (thesis, eq. 2.17-2.32).
+"""Attitude of a logger at rest: roll and pitch from gravity, yaw from the magnetometer (thesis, eq. 2.17-2.32).
 
 Errata of the thesis, each checked by a test:
 

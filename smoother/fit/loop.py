@@ -73,8 +73,8 @@ def _repeats(path: PlanPath, row: IntArray, shortest: float) -> tuple[IntArray, 
     found = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
     for part in pieces(len(chosen), some):
         i, j = _within(position, chosen[part], SAME_PLACE)
-        apart = driven[j] - driven[i]
-        good = (apart > shortest) & (apart < LONGEST_LAP)
+        separation = driven[j] - driven[i]
+        good = (separation > shortest) & (separation < LONGEST_LAP)
         i, j = i[good], j[good]
         good = np.sum(direction[i] * direction[j], axis=1) > SAME_DIRECTION
         found.append((i[good], j[good]))
@@ -97,10 +97,10 @@ def _within(points: Array, around: IntArray, distance: float) -> tuple[IntArray,
 def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
     """The shortest distance (m) after which the path repeats nearly as well as it does at all."""
     places, column = np.unique(i, return_inverse=True)
-    apart = driven[j] - driven[i]
-    bins = int(apart.max() / BIN) + 2
+    separation = driven[j] - driven[i]
+    bins = int(separation.max() / BIN) + 2
     hit = np.zeros((len(places), bins), dtype=np.bool_)
-    hit[column, (apart / BIN).astype(np.int64)] = True
+    hit[column, (separation / BIN).astype(np.int64)] = True
     step = driven[-1] / max(1, min(MOST_PLACES, len(driven)) - 1)
     covered, share, possible = np.zeros(bins), np.zeros(bins), _seen_at_both_ends(driven, bins)
     for b in np.flatnonzero(hit.any(axis=0)):
@@ -114,8 +114,8 @@ def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
     if usable[best] == 0.0:
         return None
     first = int(np.flatnonzero((usable >= COMPARABLE * usable[best]) & (share >= COMPARABLE * share[best]))[0])
-    near = _around(apart, first)
-    return float(np.median(apart[near]))
+    near = _around(separation, first)
+    return float(np.median(separation[near]))
 
 
 def _seen_at_both_ends(driven: Array, bins: int) -> Array:
@@ -133,19 +133,19 @@ def _seen_at_both_ends(driven: Array, bins: int) -> Array:
     return out
 
 
-def _around(apart: Array, b: int) -> BoolArray:
+def _around(separation: Array, b: int) -> BoolArray:
     centre = (b + 0.5) * BIN
-    return np.asarray(np.abs(apart - centre) < max(1.5 * BIN, 2.0 * SLACK * centre))
+    return np.asarray(np.abs(separation - centre) < max(1.5 * BIN, 2.0 * SLACK * centre))
 
 
 def _quickest(path: PlanPath, row: IntArray, length: float, blind: BoolArray, i: IntArray, j: IntArray) -> Loop | None:
     """The quickest of the passages of about one lap with the fewest holes: without stops, pits and excursions."""
-    apart = path.driven[row[j]] - path.driven[row[i]]
-    one = np.abs(apart - length) < max(1.5 * BIN, 1.5 * SLACK * length)
+    separation = path.driven[row[j]] - path.driven[row[i]]
+    one = np.abs(separation - length) < max(1.5 * BIN, 1.5 * SLACK * length)
     if not one.any():
         return None
-    i, j, apart = i[one], j[one], apart[one]
-    pace = (path.t[row[j]] - path.t[row[i]]) / apart  # per metre, as the ends of the pairs are metres apart
+    i, j, separation = i[one], j[one], separation[one]
+    pace = (path.t[row[j]] - path.t[row[i]]) / separation  # per metre, as the ends of the pairs are metres apart
     guessed = np.concatenate([[0.0], np.cumsum(blind[1:] * np.diff(path.t))])
     hole = guessed[row[j]] - guessed[row[i]]
     k = int(np.argmin(np.where(hole <= hole.min() + 1e-9, pace, np.inf)))

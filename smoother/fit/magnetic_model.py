@@ -101,12 +101,12 @@ def session_date(session: Session) -> datetime.date | None:
     assert session.gnss.unix_s is not None
     known = session.gnss.unix_s[np.isfinite(session.gnss.unix_s)]
     unix = float(np.median(known)) if known.size else session.unix_at_zero
-    told = None
+    received = None
     if unix is not None and 0.0 < unix < LATEST_UNIX:
-        told = datetime.datetime.fromtimestamp(unix, datetime.UTC).date()
-    if told is not None and told.year >= FIRST_YEAR:
-        return told
+        received = datetime.datetime.fromtimestamp(unix, datetime.UTC).date()
+    if received is not None and received.year >= FIRST_YEAR:
+        return received
     try:
-        return told if session.config.date is None else datetime.date.fromisoformat(session.config.date)
+        return received if session.config.date is None else datetime.date.fromisoformat(session.config.date)
     except ValueError:
-        return told
+        return received

@@ -44,8 +44,8 @@ def redundancy_as_walk(share: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What tells a noise: what residuals add, in order of time (N,), to `squares` over their variances, and to what is
-    `expected` of these; `count` of them, of which `expected` in all is what is left.
+    """Residuals that identify a noise, in order of time (N,): their `squares` over their variances, and the `expected`
+    values of these, with a sum below the `count` of residuals.
     """
 
     squares: Array
@@ -86,17 +86,17 @@ def of_rate(residuals: Residuals) -> float:
     return min(ANY_NOISE, math.hypot(_spread(residuals, redundancy_as_walk), OF_RATE))
 
 
-def _spread(residuals: Residuals, told: Callable[[float], float]) -> float:
-    """Sigma of the logarithm of a sigma that was found as sqrt(squares / expected); ANY_NOISE where nothing tells it.
+def _spread(residuals: Residuals, redundancy_of: Callable[[float], float]) -> float:
+    """Sigma of the logarithm of a sigma that was found as sqrt(squares / expected); ANY_NOISE if not observable.
 
-    told: what of a small change residuals show, by the share that is left.
-    Squares of residuals vary by twice the mean square of what is left of the noise over all frequencies: `told` parts
+    redundancy_of: part of a small change that residuals show, by the share that is left.
+    Squares of residuals vary by twice the mean square of what is left of the noise over all frequencies: that part
     of the redundancy. Sources: Foerstner 1979; Huber 1967 (from blocks, if that is more).
     """
     redundancy = residuals.redundancy
     if redundancy < 1.0 or float(np.sum(residuals.squares)) <= 0.0:
         return ANY_NOISE
-    shown = told(residuals.share)
+    shown = redundancy_of(residuals.share)
     relative = max(math.sqrt(2.0 * shown / redundancy), _scatter_of_blocks(residuals))
     return min(ANY_NOISE, 0.5 * relative / shown)
 
@@ -109,5 +109,5 @@ def _scatter_of_blocks(residuals: Residuals) -> float:
         return 0.0
     first = np.arange(blocks) * len(squares) // blocks
     found, of_them = np.add.reduceat(squares, first), np.add.reduceat(expected, first)
-    apart = found - of_them * (np.sum(found) / np.sum(of_them))
-    return math.sqrt(float(np.sum(apart**2)) * blocks / (blocks - 1)) / float(np.sum(found))
+    difference = found - of_them * (np.sum(found) / np.sum(of_them))
+    return math.sqrt(float(np.sum(difference**2)) * blocks / (blocks - 1)) / float(np.sum(found))

@@ -39,7 +39,7 @@ def evenly_chosen(points: Array) -> Array:
 def one_per_voxel(points: Array) -> Array:
     """Return one point per occupied voxel, (M, 3) of points (N, 3).
 
-    A box that lay still for half of the recording must not outvote the half in which it was turned.
+    A logger that lay still for half of the recording must not outweigh the half in which it was turned.
     """
     low, high = np.percentile(points, [10.0, 90.0], axis=0)
     size = max(float(np.max(high - low)), 1e-300) / VOXELS_PER_EXTENT

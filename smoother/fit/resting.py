@@ -1,4 +1,4 @@
-"""Resting positions in a recording: where the box lay still, and the mean readings there with honest covariances.
+"""Resting positions in a recording: where the logger lay still, and the mean readings there with their covariances.
 
 Readings at rest are not independent (a low-pass filter, a bias that drifts), and coarse counts do not average out. So
 the covariance of a mean comes from the scatter of means over batches of `BATCH` seconds, pooled over all positions,
@@ -95,7 +95,7 @@ def _covariance_of_means(t: Array, values: Array, stretches: list[tuple[int, int
         scatter += centred.T @ centred
         freedom += len(means) - 1
     if freedom < FEWEST_BATCHES:
-        raise FitError("the box lay still too briefly; let it lie for ten seconds in each position")
+        raise FitError("the logger lay still too briefly; let it lie for ten seconds in each position")
     return scatter / freedom * BATCH
 
 
@@ -122,8 +122,8 @@ def rounding_variance(values: Array, step: Array) -> Array:
 def distinct_directions(force: Array) -> Array:
     """Directions (D, 3) of the mean forces (K, 3) that lie more than SAME_DIRECTION apart, first come first kept."""
     kept: list[Array] = []
-    told = force[np.any(force != 0.0, axis=1)]  # a sensor that reads zeros points nowhere
-    for unit in told / np.linalg.norm(told, axis=1, keepdims=True):
+    known = force[np.any(force != 0.0, axis=1)]  # a sensor that reads zeros points nowhere
+    for unit in known / np.linalg.norm(known, axis=1, keepdims=True):
         if all(unit @ other < np.cos(SAME_DIRECTION) for other in kept):
             kept.append(unit)
     return np.array(kept)

@@ -2,7 +2,7 @@
 
 At rest the calibrated force has the length of gravity, whatever the direction: `|matrix (force - offset)| = g`. As for
 the ellipsoid, a rotation of all axes together cannot be seen, so the matrix is the symmetric root. Nine unknowns need
-nine positions; with six, the box on each of its faces, the misalignments stay at the prior of a data sheet and say so.
+nine positions; with six, the logger on each of its faces, the misalignments stay at the prior of a data sheet.
 Sources: Tedaldi et al. 2014 (the model); Kelley and Frosio 2009 (gravity's length as the only reference).
 """
 
@@ -34,7 +34,7 @@ class AccelFit:
 
     residual (K,) m/s^2: calibrated length less gravity; is_used (K,) positions; scatter: factor by which the residuals
     exceed their sigmas (1 unless the data contradict them), already in the covariance; observed (6,): which entries
-    the positions told, rather than the prior.
+    the positions determined, not the prior.
     """
 
     offset: Array
@@ -77,7 +77,7 @@ def fit_accelerometer(positions: Sequence[RestingPosition]) -> AccelFit:
     if len(directions) < FEWEST_DIRECTIONS:
         raise FitError(
             f"{counted(len(directions), 'resting position')} in different directions: too few for the accelerometer; "
-            "lay the box on each of its six faces, and better also on edges, ten seconds each"
+            "lay the logger on each of its six faces, and better also on edges, ten seconds each"
         )
     used = np.ones(len(force), dtype=np.bool_)
     parameters, covariance, z = _least_squares(force, noise, used, gravity)

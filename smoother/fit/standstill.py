@@ -3,20 +3,19 @@
 Biases, mounting and noise are unknown, and an engine may idle, so nothing is compared with gravity or with zero. Two
 judges have to agree:
 
-1.  GNSS, where the session has it: no fix near the time says that the kart moves. It alone tells a smooth straight from
-    a stop; without a fix nearby nothing is called a standstill. Velocity lags by up to 0.6 s, so fixes that come later
-    are asked too.
+1.  GNSS, where the session has it: no fix near the time is moving. It alone distinguishes a smooth straight from a
+    stop; without a fix nearby there is no standstill. Velocity lags by up to 0.6 s, so later fixes count too.
 2.  The inertial samples are steady: means over short blocks scatter no more than the scatter within the blocks
     explains (analysis of variance). Vibration averages out of the means, whatever its strength, so an idling engine
     does not hide a stop; setting off, turning or being lifted does move the means.
 
 Under a roof fixes may wander at walking pace. Where both sensors are far quieter than they ever are on the move, the
-engine is off and nobody touches the kart, and slow fixes are ignored.
+engine is off and the kart is untouched, and slow fixes are ignored.
 
 A kart that is turned where it stands, by hand after a spin, is steady to both: whatever has other rates at one time of
 a run than at another, or than the gyroscope's bias where that is known, is no standstill from end to end.
 
-Without any GNSS (a box on the bench) the second judge is helped by a third: the scatter is near the quietest of the
+Without any GNSS (a logger on the bench) the second judge is helped by a third: the scatter is near the quietest of the
 session and below a bound, because there a smooth ride and a rest would look alike.
 """
 

@@ -81,9 +81,9 @@ def sample_timing(t: Array) -> Timing:
 
 
 def _common_slope(stretches: list[Array]) -> tuple[float, float]:
-    """Slope per row of parallel straight lines through stretches (N,) of values, and the sum of squares that tells it.
+    """Slope per row of parallel straight lines through stretches (N,) of values, and its sum of squares.
 
-    By least squares: values with independent errors of sigma know it to sigma over the root of that sum.
+    By least squares: for independent errors of sigma, that of the slope is sigma over the root of that sum.
     """
     rows = [np.arange(len(values)) - 0.5 * (len(values) - 1) for values in stretches]
     lever = float(sum(row @ row for row in rows))
@@ -189,7 +189,7 @@ class _Changes:
         speed = np.linalg.norm(_between(start, end, t, turned), axis=1) / step
         chosen = np.flatnonzero(inside & (speed > TURNING))
         if len(chosen) < FEWEST_TURNING:
-            raise FitError("the box was hardly turned, so no delay between gyroscope and magnetometer can be seen")
+            raise FitError("the logger was hardly turned, so no delay between gyroscope and magnetometer can be seen")
         change, mean = field[stride:] - field[:-stride], 0.5 * (field[stride:] + field[:-stride])
         return _Changes(start[chosen], end[chosen], change[chosen], mean[chosen], chosen, stride, t, turned)
 

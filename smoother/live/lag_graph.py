@@ -76,7 +76,7 @@ class Marginal:
         return Marginal(A, taken.unknown, taken.state.part(slice(leave, leave + 1)))
 
     def moved_to(self, now: State) -> "Marginal":
-        """The same where the keyframe is `now`, by its axes there: rotation and position move each by itself.
+        """The same where the keyframe is `now`, by its axes there: rotation and position move independently.
 
         GTSAM keeps the axes of the linearisation point, and retracts the position along a screw. Axes rotated by a
         degree against those of the measurements give spurious information on the position: on Adria's recording the
@@ -154,6 +154,6 @@ def extrapolated(
     with_all = J @ np.block([[P, cross], [cross.T, S]])
     P_then, cross_then = np.zeros_like(P), np.zeros_like(cross)
     P_then[:_MOTION, :_MOTION], cross_then[:_MOTION] = with_all @ J.T + root @ root.T, with_all[:, KEYFRAME_SIZE:]
-    neighbours = np.zeros((1, *P.shape))  # nobody asks for them
+    neighbours = np.zeros((1, *P.shape))  # not used
     both = Covariances(np.stack([P, P_then]), neighbours, S, np.stack([cross, cross_then]))
     return two.with_values(values.retract(vector_values(moved, still))), both

@@ -1,1 +1,1 @@
-"""Simulated karts: analytic truth, sensors that err as told, and the files a logger would have written."""
+"""Simulated karts: analytic truth, sensors with stated errors, and the files a logger would have written."""

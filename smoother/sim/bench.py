@@ -1,4 +1,4 @@
-"""A simulated calibration recording: the box on the bench, laid on its faces and edges, then turned in the hands.
+"""A simulated calibration recording: the logger on the bench, laid on its faces and edges, then turned in the hands.
 
 What a person does by the guide in the README, sampled with the errors of :class:`ImuErrors` and :class:`MagErrors`
 (vibration, jitter and gaps of which do not occur on a bench). The true values stand beside it, in the conventions of
@@ -21,7 +21,7 @@ from smoother.sim.sensors import converted, mag_reading
 from smoother.units import STANDARD_GRAVITY
 
 OUTLIER_SIZE = 100.0  # uT
-WARM_UP = 300.0  # s, time constant of a box that heats itself
+WARM_UP = 300.0  # s, time constant of a logger that heats itself
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])[[2, 0, 1, 5, 3, 4]]  # first as it stands on a bench
 _EDGES = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if abs(x) + abs(y) + abs(z) == 2]
@@ -33,7 +33,7 @@ class BenchPlan:
     """What the person does, seconds each: lie still first, then `positions` rests with turns between, then wave.
 
     The first six positions are the faces, the others edges; `tilt` rad is how far off each is put down. hand: m/s^2 of
-    acceleration while the box is moved. warm_up: K by which the box heats itself; temperature: deg C at first.
+    acceleration while the logger is moved. warm_up: K by which the logger heats itself; temperature: deg C at first.
     """
 
     still: float = 60.0
@@ -106,7 +106,7 @@ def simulate_bench(
     plan: BenchPlan | None = None,
     errors: BenchErrors | None = None,
 ) -> BenchRecording:
-    """Return the readings of a box handled as `plan` says, in the Earth's field field_n (3,) uT."""
+    """Return the readings of a logger handled as `plan` says, in the Earth's field field_n (3,) uT."""
     plan = BenchPlan() if plan is None else plan
     errors = BenchErrors(np.zeros(3)) if errors is None else errors
     motion_rng, imu_rng, mag_rng = rng.spawn(3)
@@ -141,7 +141,7 @@ def write_bench(recording: BenchRecording, directory: Path) -> None:
     write_table(mag_table(recording.mag), directory / "mag.csv")
 
 
-# ---- how the box is held --------------------------------------------------------------------------------------------
+# ---- how the logger is held -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ class _Path:
 
     @staticmethod
     def of(plan: BenchPlan, rng: np.random.Generator) -> "_Path":
-        """Draw the positions; the box goes from each to the next by the shortest turn, with a smooth start and end."""
+        """Draw the positions; each turn to the next is the shortest, with a smooth start and end."""
         edges = _EDGES[rng.permutation(len(_EDGES))]
         up = np.concatenate([_FACES, edges])[np.arange(max(plan.positions, 0)) % (len(_FACES) + len(edges))]
         poses = [_pose(direction, plan.tilt, rng) for direction in up] or [np.eye(3)]
@@ -189,7 +189,7 @@ class _Path:
 
 
 def _pose(up_s: Array, tilt: float, rng: np.random.Generator) -> Array:
-    """R_ns of a box put down with the direction up_s (3,) up, off by `tilt`, and with any heading."""
+    """R_ns of a logger put down with the direction up_s (3,) up, off by `tilt`, and with any heading."""
     up = up_s / np.linalg.norm(up_s)
     off = so3.exp(tilt * rng.standard_normal(3)) @ up
     axis = np.cross(off, [0.0, 0.0, 1.0])
@@ -207,7 +207,7 @@ def _any_attitude(rng: np.random.Generator) -> Array:
 
 
 def _force(path: _Path, t: Array, moved: np.ndarray, hand: float, rate: float, rng: np.random.Generator) -> Array:
-    """Specific force (N, 3): gravity, and while the box is moved what the hand adds, slow against the samples."""
+    """Specific force (N, 3): gravity, and while the logger is moved what the hand adds, slow against the samples."""
     push = gaussian_filter1d(rng.standard_normal((len(t), 3)), 0.1 * rate, axis=0)
     push *= hand / max(float(np.std(push)), 1e-12) * moved[:, None]
     up = path.at(t)[:, 2, :] * STANDARD_GRAVITY

@@ -47,7 +47,7 @@ class Motion:
 
     driving False leaves the kart standing on the grid for the whole session. standstill: seconds at rest before the
     start, None is a rolling start. Figures are those of rental to racing karts with slicks. With `steering` the
-    attitude of the truth is still the kart's; that of the box is its mounting, turned by the wheel.
+    attitude of the truth is still the kart's; that of the logger is its mounting, turned by the wheel.
     """
 
     driving: bool = True
@@ -71,10 +71,12 @@ class Motion:
     slip_per_acceleration: float = 0.0045  # rad per m/s^2 of lateral acceleration: about 4.5 deg at 1.75 g
     slip_sigma: float = 0.25  # of that, how differently each corner is taken
     slip_length: float = 25.0  # m
-    slip_lead: float = 0.12  # s by which the nose turns in before the path
+    slip_lead: float = 0.12  # s by which the heading leads the path into a turn
     roll_per_acceleration: float = 0.0015  # rad per m/s^2: 1.5 deg at 1.75 g, a stiff frame on soft tyres
     pitch_per_acceleration: float = 0.0012  # rad per m/s^2
-    steering: float = 0.0  # rad, one sigma of the angle of a steering wheel that carries the box; 0: it is on the frame
+    steering: float = (
+        0.0  # rad, one sigma of the angle of a steering wheel that carries the logger; 0: it is on the frame
+    )
     steering_length: float = 0.15  # s between independent values of it: turning of up to 3 Hz
     steering_per_curvature: float = 0.0  # rad m: how far that wheel turns with the bend, beside it; karts 1.2 to 4
     column: float = 40.0 * DEG  # by which the wheel's column rises from the level towards the driver

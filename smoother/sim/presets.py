@@ -47,7 +47,7 @@ TABLE: Mapping[str, tuple[Any, Any, Any]] = {
     "extra_velocity_latency": ((0.0, 0.0), (0.04, 0.14), (0.0, 0.2)),
     "lever_arm": ((0.0, 0.0), (0.2, 0.6), (0.2, 0.6)),  # m, of each component
     "tilt": ((0.0, 0.0), (0.0, 30.0 * DEG), None),  # rad, about a level axis, after any yaw; None: any attitude
-    "yaw": (0.0, np.pi, np.pi),  # rad, largest turn of the box about up, to either side
+    "yaw": (0.0, np.pi, np.pi),  # rad, largest turn of the logger about up, to either side
     "standstill": (30.0, 5.0, None),
     "outages": ((), ((5.0, 5.0),), ((5.0, 20.0), (5.0, 20.0), (5.0, 20.0))),  # s, the length of each
     "jumps": (0, 0, 10),

@@ -74,7 +74,7 @@ def write_truth(simulation: Simulation, directory: Path, rate: float = 50.0) -> 
 
 
 def write_settings(simulation: Simulation, path: Path, *, states_delay: bool = False) -> None:
-    """Write a session.toml that states the true mounting, noise and latencies, for a smoother told everything.
+    """Write a session.toml that states the true mounting, noise and latencies, which leaves nothing to identify.
 
     states_delay: see :func:`write_title`.
     """
@@ -177,8 +177,8 @@ def fix_table(fixes: GnssFixes) -> pl.DataFrame:
     if np.any(np.isfinite(fixes.velocity_n[:, 2])):
         for name, axis, sign in (("vel_n_mps", 0, 1.0), ("vel_e_mps", 1, -1.0), ("vel_u_mps", 2, 1.0)):
             columns[name] = np.round(sign * fixes.velocity_n[:, axis], 6)
-    told = {name: values for name, values in columns.items() if values is not None}
-    known = {name: values for name, values in told.items() if name in FIX_COLUMNS or not np.all(np.isnan(values))}
+    sent = {name: values for name, values in columns.items() if values is not None}
+    known = {name: values for name, values in sent.items() if name in FIX_COLUMNS or not np.all(np.isnan(values))}
     return pl.DataFrame(known).fill_nan(None)
 
 

@@ -91,7 +91,7 @@ def calibration_records(field: Array) -> LogRecords:
 
 
 def _setup(simulation: Simulation) -> Setup:
-    """A simulated sample is as late as half its period, which is therefore what the low-pass is said to delay it."""
+    """A simulated sample is as late as half its period, which is therefore stated as the delay of the low-pass."""
     imu, gnss, mag = simulation.scenario.imu, simulation.scenario.gnss, simulation.scenario.mag
     if imu is not None and imu.rate > FASTEST_IMU:
         raise UsageError(f"the logger samples at most {FASTEST_IMU:.0f} times a second; choose another rate or format")

@@ -103,7 +103,7 @@ class ImuErrors:
     def filter_delay(self) -> float | None:
         """Delay s that the logger knows its low-pass to have: half a sample's; None where samples are late beyond it.
 
-        That is for a smoother to find, as of a logger that tells nothing.
+        A smoother has to identify that.
         """
         return 0.5 / self.rate if self.latency == self.accel_delay == 0.0 else None
 
@@ -151,7 +151,7 @@ class MagErrors:
     noise and engine_disturbance are fractions of the field's strength; the engine's field points along
     engine_direction_s and grows with rpm and throttle. inclination and declination come from the World Magnetic Model
     unless field_n (3,) uT says otherwise. calibration_points: readings taken while
-    the box is turned in all directions before the session, as in magcalib.txt; 0 leaves it uncalibrated.
+    the logger is turned in all directions before the session, as in magcalib.txt; 0 leaves it uncalibrated.
     """
 
     rate: float = 10.0  # Hz

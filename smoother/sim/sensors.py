@@ -54,7 +54,7 @@ class SimulatedGnss:
 
 @dataclass(frozen=True, eq=False)
 class Wheel:
-    """A steering wheel with the box on it: angle, a spline over true time (rad over s), about axis_b (3,), unit."""
+    """A steering wheel with the logger on it: angle, a spline over true time (rad over s), about axis_b (3,), unit."""
 
     angle: BSpline
     axis_b: Array
@@ -78,7 +78,7 @@ def simulate_imu(
 
     Noise has the standard deviation density * sqrt(rate), which is its density within the band that sampling leaves.
     Vibration is a tone sampled at that time, after gain and phase of the anti-alias filter, so it folds as it must.
-    R_bs is the mounting of a box that does not turn, or turns with `wheel`, whose angle is 0.
+    R_bs is the mounting of a logger that does not turn, or turns with `wheel`, whose angle is 0.
     """
     noise_rng, walk_rng, tone_rng, clock_rng = rng.spawn(4)
     time = np.arange(1, int(np.floor(duration * errors.rate + 1e-9)) + 1) / errors.rate
@@ -309,7 +309,7 @@ def simulate_wheel_speed(truth: Truth, errors: WheelErrors, duration: float, rng
 
 
 def simulate_mag_calibration(errors: MagErrors, field_n: Array, rng: np.random.Generator) -> Array | None:
-    """Readings (K, 3) uT while the box is turned in all directions, engine off; None if there are to be none."""
+    """Readings (K, 3) uT while the logger is turned in all directions, engine off; None if there are to be none."""
     if errors.calibration_points == 0:
         return None
     direction = rng.standard_normal((errors.calibration_points, 3))

@@ -94,7 +94,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
 
 
 def _wheel(motion: Motion, truth: Truth, duration: float, rng: np.random.Generator) -> Wheel | None:
-    """The steering wheel with the box on it; None for a box on the frame."""
+    """The steering wheel with the logger on it; None for a logger on the frame."""
     if motion.steering == 0.0:
         return None
     angle = wander(-MARGIN, duration + MARGIN, motion.steering_length, rng, motion.steering)

@@ -38,7 +38,7 @@ def test_a_simulation_that_fails_leaves_the_one_before(
 
 
 def test_files_of_another_format_go(simulation: Simulation, tmp_path: Path) -> None:
-    write(simulation, tmp_path / "new", "csv", told=True)
+    write(simulation, tmp_path / "new", "csv", states_truth=True)
     write(simulation, tmp_path / "new", "thesis")
     names = {path.name for path in (tmp_path / "new").iterdir()}
     assert "out.txt" in names
@@ -52,7 +52,7 @@ def test_what_was_simulated_says_so_wherever_it_is_shown(
     simulation: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str, told: bool
 ) -> None:
     """A report that is handed on must not pass for one of a drive."""
-    write(simulation, tmp_path, form, told=told)
+    write(simulation, tmp_path, form, states_truth=told)
     assert run([str(tmp_path), "--no-baseline", "--no-pictures"]) in (0, 3)
     title = f"Simulated session ({simulation.scenario.name}, {simulation.scenario.track})"
     assert capsys.readouterr().out.splitlines()[0] == title
