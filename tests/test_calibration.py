@@ -65,7 +65,7 @@ def test_hard_and_soft_iron_bring_the_field_back_to_length_one() -> None:
     np.testing.assert_allclose(calibrated.field_s, unit, atol=1e-12)
 
 
-def test_a_magnetometer_without_calibration_keeps_its_unit_and_says_so() -> None:
+def test_a_magnetometer_without_calibration_keeps_its_unit() -> None:
     mag = Calibration().apply_to_mag(RawMag(T, COUNTS))
     assert not mag.is_calibrated
     np.testing.assert_array_equal(mag.field_s, COUNTS)

@@ -43,7 +43,7 @@ def test_the_smoother_used_the_motion_sensor(ran: dict[str, Any]) -> None:
     }
 
 
-def test_positions_share_what_the_page_says_they_share(ran: dict[str, Any]) -> None:
+def test_positions_share_what_the_page_states(ran: dict[str, Any]) -> None:
     trajectory, times = ran["trajectory"], ran["times"]
     C = trajectory.joint.covariance(times, ran["north"])
     rows = np.searchsorted(trajectory.t, times)
@@ -64,7 +64,7 @@ def test_rows_have_the_sigmas_of_the_keyframes_and_the_doubt_about_a_sample_s_ti
         np.testing.assert_allclose(at, position[:, i], rtol=0.01)
 
 
-def test_errors_against_the_truth_are_as_large_as_said(ran: dict[str, Any]) -> None:
+def test_errors_against_the_truth_are_as_large_as_documented(ran: dict[str, Any]) -> None:
     assert 0.5 < np.sqrt(np.mean(ran["z"] ** 2)) < 1.5
     assert ran["score"].nees.dimension == 9
     assert abs(ran["change"]) < 3.0 * np.sqrt(ran["C"][0, 0] + ran["C"][1, 1] - 2.0 * ran["C"][0, 1])

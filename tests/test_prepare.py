@@ -118,7 +118,7 @@ def test_a_flawed_calibration_file_is_an_error(tmp_path: Path) -> None:
         prepare(RawSession("s", fixes()), path)
 
 
-def test_a_session_says_what_calibrated_it(tmp_path: Path) -> None:
+def test_a_session_names_its_calibration(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text("[gyroscope]\nbias = [0.1, 0.2, 0.3]\n", encoding="utf-8")
     readings = ball(np.array([20.0, -5.0, 8.0]), 50.0 * np.eye(3))
@@ -133,7 +133,7 @@ def test_a_session_says_what_calibrated_it(tmp_path: Path) -> None:
     }
 
 
-def test_a_calibration_of_another_box_is_doubted(tmp_path: Path) -> None:
+def test_a_calibration_of_another_logger_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text(
         "[magnetometer]\nhard_iron = [0.0, 0.0, 0.0]\nsoft_iron = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", encoding="utf-8"

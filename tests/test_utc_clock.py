@@ -18,12 +18,12 @@ def test_a_summary_keeps_it() -> None:
     assert UtcClock.of_summary({"start_s": 12.5, **kept}) == SLOW
 
 
-def test_an_older_summary_tells_the_start_alone() -> None:
+def test_an_older_summary_holds_the_start_alone() -> None:
     said = {"start_s": 12.5, "start_utc": "2026-04-11T11:32:21.250Z"}
     assert UtcClock.of_summary(said) == UtcClock(12.5, SLOW.start_unix, 1.0)
 
 
-def test_where_no_receiver_told_it_there_is_none() -> None:
+def test_without_a_time_from_the_receiver_there_is_no_clock() -> None:
     assert UtcClock.of_summary({"start_s": 12.5, "start_utc": None}) is None
     assert UtcClock.of_summary({}) is None
 

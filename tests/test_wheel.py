@@ -96,7 +96,7 @@ def test_wheel_holds_every_file_of_the_package_and_no_other(wheel: Path) -> None
     assert len(licences) == 1
 
 
-def test_wheel_is_for_every_system_and_says_what_it_needs(wheel: Path, metadata: Message) -> None:
+def test_wheel_is_for_every_system_and_lists_what_it_needs(wheel: Path, metadata: Message) -> None:
     assert wheel.name.endswith("-py3-none-any.whl")
     assert metadata["Requires-Python"] == ">=3.11"
     assert metadata["License-Expression"] == "MIT"

@@ -41,7 +41,7 @@ def test_a_gap_has_three_digits_or_is_a_length_of_time(seconds: float, text: str
         ("it stopped", 1, "it stopped"),
     ],
 )
-def test_how_often_is_said_once(text: str, count: int, said: str) -> None:
+def test_a_count_is_written_once(text: str, count: int, said: str) -> None:
     assert repeated(text, count) == said
 
 
@@ -60,5 +60,5 @@ def test_a_lost_time_has_the_digits_that_its_sigma_needs(sigma: float, digits: i
 
 
 @pytest.mark.parametrize(("sigma", "text"), [(0.3, "0.3"), (0.05, "0.1"), (0.047, "0.05"), (0.006, "0.01")])
-def test_no_speed_is_told_to_be_sure_to_nothing(sigma: float, text: str) -> None:
+def test_no_speed_has_a_sigma_of_zero(sigma: float, text: str) -> None:
     assert f"{sigma:.{speed_digits(sigma)}f}" == text

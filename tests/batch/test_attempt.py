@@ -28,7 +28,7 @@ def own_peak_mb() -> float:
     return _megabytes(resource.getrusage(resource.RUSAGE_SELF))
 
 
-def test_a_good_session_tells_its_best_lap_that_counts_and_its_cost(make_task: MakeTask) -> None:
+def test_a_good_session_has_its_best_lap_that_counts_and_its_cost(make_task: MakeTask) -> None:
     said = attempt(make_task(), command=STAND_IN)
     assert (said.state, said.code, said.message) == ("done", 0, "")
     facts = said.facts
@@ -46,7 +46,7 @@ def test_a_doubtful_session_has_results_and_reasons(make_task: MakeTask) -> None
     assert said.has_results
 
 
-def test_an_unusable_session_is_told_in_its_own_words(make_task: MakeTask) -> None:
+def test_an_unusable_session_has_its_own_message(make_task: MakeTask) -> None:
     task = make_task("unusable")
     (task.session / "SESSION.TOML").write_text('[session]\ndriver = "E"\nkart = "7"\n')
     said = attempt(task, command=STAND_IN)
@@ -64,7 +64,7 @@ def test_a_crash_is_an_outcome_and_its_words_are_kept(make_task: MakeTask) -> No
     assert left(task.out) == []
 
 
-def test_a_bug_is_told_in_one_clean_line_until_it_is_gone(make_task: MakeTask) -> None:
+def test_a_bug_is_reported_in_one_clean_line_until_it_is_gone(make_task: MakeTask) -> None:
     task = make_task("bug")
     said = attempt(task, command=STAND_IN)
     assert (said.state, said.code) == ("broken", 1)
@@ -87,7 +87,7 @@ def test_a_session_that_hangs_is_ended_with_all_that_it_started(make_task: MakeT
 
 
 @linux_only
-def test_a_session_that_grows_beyond_its_limit_is_told_so(make_task: MakeTask) -> None:
+def test_a_session_that_grows_beyond_its_limit_is_reported(make_task: MakeTask) -> None:
     said = attempt(make_task("grow", megabytes=200), command=STAND_IN)
     assert (said.state, said.code) == ("limit", 2)
     assert "200 MB" in said.message

@@ -45,7 +45,7 @@ def test_results_hidden_folders_links_and_bench_recordings_are_none(tmp_path: Pa
     assert [task.session.name for task in find_sessions([tmp_path]).tasks] == ["run"]
 
 
-def test_folders_beside_sessions_that_hold_none_are_told(tmp_path: Path) -> None:
+def test_folders_beside_sessions_that_hold_none_are_reported(tmp_path: Path) -> None:
     make(tmp_path / "day", "kart1/run1/gps.csv", "photos.png", "kart9/bench/imu.csv", "kart9/bench/calibration.toml")
     make(tmp_path / "day", *(f"kart{kart}/run1/photo.png" for kart in (2, 3, 4, 5)), "notes/readme.txt")
     found = find_sessions([tmp_path / "day"])
@@ -53,7 +53,7 @@ def test_folders_beside_sessions_that_hold_none_are_told(tmp_path: Path) -> None
     assert found.problems == (f"{tmp_path / 'day'}: no recording in kart2/run1, kart3/run1, kart4/run1 and 1 more",)
 
 
-def test_what_cannot_be_read_is_a_session_too_so_that_it_is_told(tmp_path: Path) -> None:
+def test_what_cannot_be_read_is_a_session_too_and_reported(tmp_path: Path) -> None:
     make(tmp_path, "torn/LOG00001.KLG", "blind/imu.csv", text="not a log")
     assert [task.session.name for task in find_sessions([tmp_path]).tasks] == ["blind", "torn"]
 
@@ -140,7 +140,7 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
         find_sessions([tmp_path / "nowhere"])
 
 
-def test_a_folder_that_cannot_be_searched_is_told_and_the_others_are_found(
+def test_a_folder_that_cannot_be_searched_is_reported_and_the_others_are_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make(tmp_path, "a/gps.csv", "b/gps.csv")

@@ -138,7 +138,7 @@ def test_names_of_files_are_text_in_the_page_and_links_lead_to_reports(day: list
     assert all(path.is_file() for path in wanted)
 
 
-def test_a_session_that_is_in_no_table_of_best_laps_says_why(tmp_path: Path) -> None:
+def test_a_session_in_no_table_of_best_laps_has_a_reason(tmp_path: Path) -> None:
     write_index(tmp_path, "day", [entry(tmp_path, "day/a", 60.0), entry(tmp_path, "day/b", None, laps=0)])
     assert Page(tmp_path / PAGE).text.count("ok, no lap counts") == 1
 
@@ -174,7 +174,7 @@ def test_a_failed_write_leaves_the_old_index(day: list[Entry], tmp_path: Path, m
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
-def test_short_driving_is_told_in_minutes_and_long_in_hours(tmp_path: Path) -> None:
+def test_short_driving_is_shown_in_minutes_and_long_in_hours(tmp_path: Path) -> None:
     for seconds, said in ((240.0, "8 min 0 s"), (4000.0, "2 h 13 min")):
         entries = [entry(tmp_path, name, distance_m=4700.0, duration_s=seconds) for name in ("a", "b")]
         write_index(tmp_path, "day", entries)

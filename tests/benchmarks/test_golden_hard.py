@@ -138,7 +138,7 @@ def column(folder: Path, file: str, *names: str) -> np.ndarray:
     return np.stack([table[name] for name in names], axis=1)
 
 
-def test_a_turn_of_the_box_keeps_sizes_and_what_was_before(session: Path) -> None:
+def test_a_turn_of_the_logger_keeps_sizes_and_what_was_before(session: Path) -> None:
     turned_after(10.0, (0.0, 90.0, 0.0))(session)
     accel = column(session, "imu.csv", "ax", "ay", "az")
     np.testing.assert_allclose(accel[100], [1.0, 2.0, 9.8])  # not yet at 10 s
@@ -154,7 +154,7 @@ def test_a_rotation_is_one() -> None:
     assert np.trace(R) == pytest.approx(1.0 + 2.0 * np.cos(np.linalg.norm([0.3, -0.2, 0.5])))
 
 
-def test_a_loose_box_swings_and_is_fastened_again(session: Path) -> None:
+def test_a_loose_logger_swings_and_is_fastened_again(session: Path) -> None:
     rattling_after(5.0, 4.0)(session)
     gyro, accel = (column(session, "imu.csv", *names) for names in (("gx", "gy", "gz"), ("ax", "ay", "az")))
     still = np.r_[0:51, 90:200]

@@ -152,7 +152,7 @@ def session(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_change_changes_the_files_as_its_name_says(change: str, tmp_path: Path) -> None:
+def test_a_change_changes_the_files_as_its_name(change: str, tmp_path: Path) -> None:
     before = {name: read_table(session(tmp_path) / f"{name}.csv") for name in ("gps", "imu", "mag")}
     CHANGES[change](tmp_path)
     after = {name: read_table(tmp_path / f"{name}.csv") for name in before}

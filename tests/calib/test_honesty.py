@@ -22,7 +22,7 @@ def campaign():
     del sys.modules[spec.name]
 
 
-def test_errors_of_handled_boxes_are_as_large_as_their_sigmas(campaign):
+def test_errors_of_handled_loggers_are_as_large_as_their_sigmas(campaign):
     pooled = {}
     for seed in range(1000, 1000 + RECORDINGS):  # others than those of the campaign
         for name, z in campaign.handled(seed).items():

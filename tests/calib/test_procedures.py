@@ -24,7 +24,7 @@ def with_rests(*positions):
     return found
 
 
-def test_the_mean_bias_of_rests_is_as_unsure_as_a_mean_by_their_lengths():
+def test_the_mean_bias_of_rests_has_the_sigma_of_a_mean_by_their_lengths():
     density = 1e-3  # rad/s/sqrt(Hz)
     rests = [
         rest(0.0, 10.0, [0.01, 0.0, 0.02], density**2 / 10.0),
@@ -35,13 +35,13 @@ def test_the_mean_bias_of_rests_is_as_unsure_as_a_mean_by_their_lengths():
     np.testing.assert_allclose(sigma, density / np.sqrt(40.0))
 
 
-def test_the_density_of_rests_is_that_which_makes_their_means_unsure():
+def test_the_density_of_rests_explains_the_scatter_of_their_means():
     density = 2e-4
     rests = [rest(10.0 * k, 10.0 * k + 8.0, np.zeros(3), density**2 / 8.0) for k in range(6)]
     assert six_position._density_of_rests(with_rests(*rests)) == pytest.approx(density)
 
 
-def test_a_field_that_reads_one_count_is_as_unsure_as_the_count_is_wide():
+def test_a_field_that_reads_one_count_has_the_sigma_of_the_count():
     t, step = 0.1 * np.arange(100), 0.3
     field = np.tile([30.0, -60.0, 90.0], (100, 1))
     field[::2] += step  # outside the rest readings change by a count

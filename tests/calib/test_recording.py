@@ -57,7 +57,7 @@ def test_all_recordings_on_a_card_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.mag_stamps, one.mag.t, atol=0.01)  # those that were evened
 
 
-def test_a_sensor_that_never_changed_is_said_to_tell_nothing(tmp_path: Path) -> None:
+def test_a_sensor_that_never_changed_is_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     t, noise = np.arange(0.0, 30.0, 0.01), 0.02 * rng.standard_normal((3, 3000))
     rows = np.column_stack([t, noise[0], noise[1], 9.8 + noise[2], np.zeros((3000, 2)), 1e-3 * noise[0]])
@@ -66,6 +66,6 @@ def test_a_sensor_that_never_changed_is_said_to_tell_nothing(tmp_path: Path) -> 
     assert "x of the gyroscope, y of the gyroscope never changed" in said.text and said.count == 2
 
 
-def test_of_no_force_at_all_no_direction_is_told() -> None:
+def test_without_any_force_there_is_no_direction() -> None:
     assert len(distinct_directions(np.zeros((4, 3)))) == 0
     assert len(distinct_directions(np.array([[0.0, 0.0, 9.8], [0.0, 0.0, 0.0], [9.8, 0.0, 0.0]]))) == 2

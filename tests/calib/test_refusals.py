@@ -53,7 +53,7 @@ def test_a_half_covered_sphere_is_refused_with_the_sides_to_turn():
         ellipsoid.calibrate(mag_of(field))
 
 
-def test_without_a_sensor_each_procedure_says_which_is_missing():
+def test_without_a_sensor_each_procedure_names_the_missing_one():
     nothing = Recording("empty")
     for procedure in (gyro_bias.calibrate, six_position.calibrate, timing.calibrate):
         with pytest.raises(FitError, match="no motion sensor"):
@@ -65,7 +65,7 @@ def test_without_a_sensor_each_procedure_says_which_is_missing():
             against(nothing, Calibration())
 
 
-def test_a_box_that_never_lay_still_has_no_bias_and_says_what_to_do():
+def test_a_logger_that_never_lay_still_has_no_bias_but_a_remedy():
     rng = np.random.default_rng(3)
     recording = Recording("waved", imu_of(rng.normal(0.0, 9.0, (3000, 3)), rng.normal(0.0, 2.0, (3000, 3))))
     for procedure in (gyro_bias.calibrate, six_position.calibrate):

@@ -27,7 +27,7 @@ def within(found, true, sigma, times=4.5):
     assert np.all(np.abs(np.asarray(found) - true) < times * np.asarray(sigma)), (found, true, sigma)
 
 
-def test_every_value_of_a_handled_box_comes_back_within_its_sigma(handled, results):
+def test_every_value_of_a_handled_logger_comes_back_within_its_sigma(handled, results):
     found, truth = results.calibration, handled.bench.truth
     within(found.accel_offset, truth.accel_offset, found.sigmas["accel_offset"])
     within(found.accel_matrix, truth.accel_matrix, found.sigmas["accel_matrix"])
@@ -76,7 +76,7 @@ def test_the_file_gives_the_calibration_back_and_its_noise_fits_session_toml(res
     assert settings.accel_noise == pytest.approx(0.004, rel=0.05)
 
 
-def test_of_two_recordings_each_tells_what_it_knows_best(handled, tmp_path: Path):
+def test_of_two_recordings_the_better_value_counts(handled, tmp_path: Path):
     """A recording of the magnetometer alone adds nothing to a better one, and takes nothing away."""
     (tmp_path / "mag.csv").write_text((handled.directory / "mag.csv").read_text())
     both = run([load_recording(tmp_path), load_recording(handled.directory)])

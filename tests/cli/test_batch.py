@@ -153,7 +153,7 @@ def test_a_batch_that_is_stopped_while_it_writes_its_first_index_has_one(
     assert [session["state"] for session in index(day).values()] == ["waiting"] * 3
 
 
-def test_a_stopped_batch_that_does_all_again_says_how_it_goes_on(
+def test_a_stopped_batch_with_again_reports_how_to_continue(
     day: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     def stopped(*_: object) -> None:

@@ -63,7 +63,7 @@ def test_numbers_have_no_more_digits_than_count_and_a_sigma_is_never_nought(
     assert _pair(value, sigma) == text
 
 
-def test_what_two_recordings_lack_alike_is_said_once_and_of_which(
+def test_a_reason_of_two_recordings_is_reported_once_with_both(
     bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("still", "again"):
@@ -103,7 +103,7 @@ def test_values_of_other_sensors_in_an_earlier_calibration_are_kept(bench: Path,
 
 
 @pytest.mark.parametrize("where", [".", ".."])
-def test_smooth_uses_the_calibration_and_says_so(
+def test_smooth_uses_the_calibration_and_reports_it(
     where: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session = tmp_path / "session"
@@ -161,7 +161,7 @@ def test_a_drive_without_a_stop_is_still_checked_for_timing(tmp_path: Path, caps
     assert not (tmp_path / "calibration.toml").exists()
 
 
-def test_a_recording_that_tells_nothing_is_refused_with_the_reasons(
+def test_a_recording_without_information_is_refused_with_the_reasons(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = "\n".join(f"{i / 50:.3f},1.0,2.0,3.0" for i in range(500))
@@ -170,6 +170,6 @@ def test_a_recording_that_tells_nothing_is_refused_with_the_reasons(
     assert "the points are constant" in capsys.readouterr().err
 
 
-def test_what_a_fit_leaves_of_its_own_data_is_said_to_be_below_what_shows() -> None:
+def test_a_residual_too_small_to_show_is_given_as_below() -> None:
     said = _comparison_text(Comparison("mean rate at rest, rms", 1.2344, 8.022e-07, "deg/s"))
     assert said == "1.234 deg/s before, below 0.001 deg/s after"

@@ -39,7 +39,7 @@ def test_one_recording_is_chosen_by_its_number_or_its_file(card: Path, tmp_path:
 
 
 @pytest.mark.parametrize("number", ["3", "99"])
-def test_a_number_there_is_not_says_how_many_there_are(card: Path, capsys: Captured, number: str) -> None:
+def test_an_unknown_number_is_refused_with_the_count(card: Path, capsys: Captured, number: str) -> None:
     assert run([str(card), "--recording", number]) == 2
     assert "holds 2 recordings of the logger" in capsys.readouterr().err
 

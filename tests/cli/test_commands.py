@@ -23,7 +23,7 @@ def test_check_does_not_call_a_second_of_recording_good(monday: Path, capsys: Ca
     assert said[-1] == "NOT GOOD TO DRIVE: only 1 s of fixes, too short to judge; record a minute"
 
 
-def test_check_says_of_a_gps_alone_that_it_is_good_for_what_that_tells(monday: Path, capsys: Captured) -> None:
+def test_check_accepts_a_gps_alone_and_names_what_is_missing(monday: Path, capsys: Captured) -> None:
     for name in ("imu.csv", "mag.csv"):
         (monday / name).unlink()
     assert run(["check", str(monday)]) == 0
@@ -46,7 +46,7 @@ def test_check_and_smooth_agree_on_a_motion_sensor_that_is_too_slow(monday: Path
     assert f"imu.csv: {slow}: smoothed from GPS alone" in texts
 
 
-def test_check_of_several_tells_sessions_of_one_name_apart(
+def test_check_of_several_distinguishes_sessions_of_one_name(
     monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     monkeypatch.chdir(tmp_path)

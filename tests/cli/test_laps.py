@@ -136,7 +136,7 @@ def test_a_known_track_with_a_wrong_letter_is_not_passed_over(lapped: Path, tmp_
         assert "track 'tinbran' is not known; did you mean 'tinbarn'?" in capsys.readouterr().err
 
 
-def test_a_track_that_tells_no_line_is_said_to_be_only_a_name(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_a_track_without_a_line_is_reported_as_only_a_name(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
     session = with_settings(lapped, tmp_path, '[session]\ntrack = "Some Raceway"\n')
     assert run(["laps", str(session), "--json"]) == 0
     (problem,) = json.loads(capsys.readouterr().out)["lap_analysis"]["problems"]
@@ -202,7 +202,7 @@ def test_the_way_home_makes_no_other_track_of_a_session(lapped: Path, tmp_path: 
     assert "km away from sunday; compare one track" in capsys.readouterr().err
 
 
-def test_a_session_of_the_other_direction_is_said_to_be_one(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_a_session_of_the_other_direction_is_reported(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
     fixes = pl.read_csv(lapped / "saturday" / "gps.csv", infer_schema_length=None).select("t_s", "lat_deg", "lon_deg")
     back = fixes.reverse().with_columns(fixes["t_s"])
     (tmp_path / "back").mkdir()
@@ -219,7 +219,7 @@ def called(capsys: Captured, *sessions: Path) -> tuple[list[str], str]:
     return [one["session"] for one in document["sessions"]], document["reference"]
 
 
-def test_sessions_in_folders_of_one_name_are_told_apart(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_sessions_in_folders_of_one_name_are_distinguished(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
     places = [tmp_path / "day" / place for place in ("kart1/run1", "kart2/run2", "kart3/run1")]
     for place, name in zip(places, ("saturday", "sunday", "sunday"), strict=True):
         shutil.copytree(lapped / name, place)
@@ -237,7 +237,7 @@ def test_sessions_in_folders_of_one_name_are_told_apart(lapped: Path, tmp_path: 
     assert all(said.count(name) >= 3 for name in names)
 
 
-def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_the_page_of_a_comparison_goes_to_out(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
     sessions = [str(lapped / "saturday"), str(lapped / "sunday")]
     assert run(["compare", *sessions, "--out", str(tmp_path / "page.html")]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "page.html")
@@ -259,7 +259,7 @@ def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: 
         (["compare", "SESSION", "SESSION", "--against", "77"], "no lap 77"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_one_line(
+def test_what_cannot_be_done_is_reported_in_one_line(
     lapped: Path, arguments: list[str], message: str, capsys: Captured
 ) -> None:
     session = str(lapped / "saturday")

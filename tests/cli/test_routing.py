@@ -128,7 +128,7 @@ def test_wrong_usage_is_one_line_and_exit_code_2(
         (["live", "--seconds", "0"], "0 is not a number of 0.1 or more"),
     ],
 )
-def test_numbers_that_are_wanted_are_said_in_plain_words(
+def test_expected_numbers_are_named_in_plain_words(
     here: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], wanted: str
 ) -> None:
     assert run([*arguments, "monday"]) == 2

@@ -69,7 +69,7 @@ def test_smooth_and_batch_agree_where_results_go(tmp_path: Path) -> None:
         assert task.out == (tmp_path / place).resolve(), name
 
 
-def test_results_of_another_recording_that_are_replaced_are_said(tmp_path: Path, capsys: Captured) -> None:
+def test_replaced_results_of_another_recording_are_reported(tmp_path: Path, capsys: Captured) -> None:
     out = ["--out", str(tmp_path / "out")]
     for number, name in enumerate(("rc1.gpx", "rc2.gpx")):
         (tmp_path / name).write_text(gpx(0.1 * number))

@@ -48,7 +48,7 @@ def test_files_of_another_format_go(simulation: Simulation, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("form", ["csv", "klg", "thesis"])
 @pytest.mark.parametrize("told", [False, True])
-def test_what_was_simulated_says_so_wherever_it_is_shown(
+def test_a_simulation_is_marked_wherever_it_is_shown(
     simulation: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str, told: bool
 ) -> None:
     """A report that is handed on must not pass for one of a drive."""

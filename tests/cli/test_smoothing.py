@@ -37,7 +37,9 @@ def test_results_that_no_longer_hold_do_not_stay_behind(monday: Path, capsys: Ca
     assert list((out / "figures").iterdir()) == [mine]
 
 
-def test_what_is_removed_of_an_earlier_run_is_said_and_leaves_no_empty_folder(monday: Path, capsys: Captured) -> None:
+def test_what_is_removed_of_an_earlier_run_is_reported_and_leaves_no_empty_folder(
+    monday: Path, capsys: Captured
+) -> None:
     out = monday / "smoothed"
     assert run([str(monday)]) == 0
     pictures = len(list((out / "figures").iterdir()))
@@ -52,7 +54,7 @@ def test_what_is_removed_of_an_earlier_run_is_said_and_leaves_no_empty_folder(mo
     assert capsys.readouterr().err == ""
 
 
-def test_fixes_alone_show_nothing_of_a_box_that_was_not_used(monday: Path, capsys: Captured) -> None:
+def test_fixes_alone_show_nothing_of_an_unused_motion_sensor(monday: Path, capsys: Captured) -> None:
     samples = pl.read_csv(monday / "imu.csv")
     samples[::20].write_csv(monday / "imu.csv")
     assert run([str(monday), *TABLES_ONLY]) == 0
@@ -94,7 +96,7 @@ def test_what_keeps_a_session_from_being_smoothed_is_seen_at_the_track(
     assert capsys.readouterr().err == said
 
 
-def test_a_mirrored_sensor_is_said_and_not_good_to_drive(tmp_path: Path, capsys: Captured) -> None:
+def test_a_mirrored_sensor_is_reported_and_not_good_to_drive(tmp_path: Path, capsys: Captured) -> None:
     monday = tmp_path / "monday"
     assert run(["simulate", str(monday), "--duration", "60", "--seed", "3"]) == 0
     assert run(["check", str(monday)]) == 0
@@ -215,7 +217,7 @@ def test_a_locked_card_sends_its_results_to_the_working_directory(
         (lambda d: (d / "gps.csv").unlink(), "fleet/run1: "),
     ],
 )
-def test_what_is_wrong_with_a_session_is_said_with_its_place(
+def test_an_error_in_a_session_names_its_place(
     monday: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -257,7 +259,7 @@ def test_of_several_sessions_the_path_stands_above_each(
     assert {"a/run1", "b/run1: Final"} <= set(capsys.readouterr().out.splitlines())
 
 
-def test_a_session_that_is_named_by_several_paths_is_smoothed_once_and_said_to_be(
+def test_a_session_named_by_several_paths_is_smoothed_once_with_a_warning(
     monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -272,7 +274,7 @@ def test_a_session_that_is_named_by_several_paths_is_smoothed_once_and_said_to_b
     assert capsys.readouterr().err.splitlines() == ["smooth: other/monday: named 2 times; taken once"]
 
 
-def test_a_result_that_fails_its_gate_is_written_said_and_exit_code_3(
+def test_a_result_that_fails_its_gate_is_written_reported_and_exit_code_3(
     monday: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     failed = Quality(False, ("the trajectory leaves the fixes for 40 s",), {})

@@ -35,7 +35,7 @@ def test_every_command_has_help_with_its_options(smooth: Any, command: str) -> N
         assert option in printed.out, option
 
 
-def test_check_says_whether_it_is_good_to_drive_and_why(simulated: Path, smooth: Any) -> None:
+def test_check_reports_whether_it_is_good_to_drive_and_why(simulated: Path, smooth: Any) -> None:
     printed = smooth("check", simulated)
     assert printed.code == 0 and printed.last == "GOOD TO DRIVE"
     document = smooth("check", simulated, "--json").document
@@ -47,7 +47,7 @@ def test_check_says_whether_it_is_good_to_drive_and_why(simulated: Path, smooth:
     assert {"fix_gap_longest_s", "accel_clipped_share", "accel_vibration_mps2"} <= set(measures)
 
 
-def test_check_says_what_is_to_be_mended_with_exit_code_3(short: Path, smooth: Any) -> None:
+def test_check_reports_what_to_mend_with_exit_code_3(short: Path, smooth: Any) -> None:
     (short / "imu.csv").unlink()
     printed = smooth("check", short)
     assert printed.code == 3 and printed.last.startswith("NOT GOOD TO DRIVE: ")
@@ -56,7 +56,7 @@ def test_check_says_what_is_to_be_mended_with_exit_code_3(short: Path, smooth: A
 
 
 @pytest.mark.slow
-def test_demo_simulates_a_session_of_the_logger_smooths_it_and_says_where_the_report_is(
+def test_demo_simulates_a_session_of_the_logger_smooths_it_and_prints_the_report_path(
     smooth: Any, tmp_path: Path
 ) -> None:
     printed = smooth("demo", tmp_path / "demo", "--duration", "20")

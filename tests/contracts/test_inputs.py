@@ -166,7 +166,7 @@ def test_fix_0_is_none_and_fix_1_usable(fixes_alone: Path, smooth: Any, read: Re
     assert read(fixes_alone / "smoothed" / "trajectory.csv")["north_m"].abs().max() < 300.0
 
 
-def test_gps_csv_wins_over_sentences_and_says_so(short: Path, short_results: Path, smooth: Any, read: Read) -> None:
+def test_gps_csv_wins_over_sentences_with_a_problem(short: Path, short_results: Path, smooth: Any, read: Read) -> None:
     (short / "walk.nmea").write_text(sentences(read(short / "gps.csv"), received=True))
     printed = smooth(short, "--json", *TABLES_ONLY)
     assert printed.code == 0

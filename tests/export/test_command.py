@@ -49,7 +49,7 @@ def test_the_names_on_the_command_line_are_those_of_the_formats() -> None:
     assert set(FORMAT_NAMES) == set(BY_NAME)
 
 
-def test_the_list_says_who_opens_each_format(capsys: Captured) -> None:
+def test_the_list_names_the_programs_of_each_format(capsys: Captured) -> None:
     for arguments in (["export", "--list"], ["export", "nowhere", "--list"]):
         assert run(arguments) == 0
         listed = capsys.readouterr().out

@@ -151,7 +151,7 @@ def test_results_without_laps_or_with_an_empty_table_have_none(results: Factory,
         (lambda out: repeat_row(out / "trajectory.csv"), "times do not increase"),
     ],
 )
-def test_damaged_results_are_one_line_that_says_what_to_do(
+def test_damaged_results_are_one_line_with_a_remedy(
     results: Factory, scene: Any, tmp_path: Path, spoil: Callable[[Path], object], message: str
 ) -> None:
     out = results(scene(laps=False), tmp_path)

@@ -29,7 +29,7 @@ def image():
 
 
 @pytest.mark.parametrize("words", SELECTION)
-def test_row_of_the_page_is_what_the_image_says(image, tmp_path, words):
+def test_row_of_the_page_is_that_of_the_image(image, tmp_path, words):
     (fault,) = (fault for fault in bringup.FAULTS if fault.name.startswith(words))
     row = bringup.row_of(fault, tmp_path / "run", image)
     assert row in bringup.PAGE.read_text().splitlines()

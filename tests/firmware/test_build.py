@@ -74,7 +74,7 @@ def test_readme_has_what_the_image_takes(image):
         build.Sizes(1000, 1000, 2000, {"main": 1900, "priority 1": 101}),
     ],
 )
-def test_budget_that_is_exceeded_is_said(sizes, capsys):
+def test_budget_that_is_exceeded_is_reported(sizes, capsys):
     assert not build.report(sizes)
     assert "TOO MUCH" in capsys.readouterr().out
 

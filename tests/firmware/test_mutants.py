@@ -63,7 +63,7 @@ def test_mistake_ends_the_drive_by_the_rule_it_breaks(drive_and_workshop, name):
     assert re.search(r" at 0800[0-9a-f]{4}$", flaw), "the place in the image"
 
 
-def test_every_rule_has_a_mistake_that_breaks_it_and_says_where_it_stands():
+def test_every_rule_has_a_mistake_that_breaks_it_with_its_place():
     rules = mutants.read_rules()
     assert len(rules) > 40
     assert {mutant.rule for mutant in MUTANTS} - {""} == set(rules)

@@ -82,7 +82,7 @@ def test_the_sigmas_of_the_figures_are_honest():
     np.testing.assert_allclose(rms, 1.0, atol=0.45)
 
 
-def test_the_density_of_white_noise_is_as_unsure_as_it_says():
+def test_the_density_of_white_noise_has_a_correct_sigma():
     rng, z = np.random.default_rng(11), []
     for _ in range(20):
         found = fit_noise(rng.normal(0.0, 0.1, (20_000, 6)) * np.sqrt(RATE), RATE)

@@ -10,7 +10,7 @@ def test_white_residuals_cost_nothing():
     assert correlation_growth(np.random.default_rng(1).standard_normal(5000)) == 1.0
 
 
-def test_a_memory_grows_the_sigma_as_theory_says():
+def test_correlation_grows_the_sigma_as_in_theory():
     rng, memory = np.random.default_rng(2), 0.8
     residual = rng.standard_normal(50_000)
     for k in range(1, len(residual)):

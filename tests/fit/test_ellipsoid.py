@@ -175,7 +175,7 @@ def test_wild_outliers_leave_the_fit_where_it_was(share):
         assert np.mean(fit.is_used[~bad]) > 0.99
 
 
-def test_a_box_that_lay_still_most_of_the_time_is_fitted_all_the_same():
+def test_a_logger_that_lay_still_most_of_the_time_is_fitted():
     rng = np.random.default_rng(9)
     turned = readings(CENTRE, np.eye(3) / 50.0, 1000, 0.0, rng)
     resting = np.tile(turned[np.argmax(turned[:, 0])], (5000, 1))  # at the end of an axis, where saturation would be
@@ -327,7 +327,7 @@ def test_real_recordings_give_their_published_ellipsoids(data_directory, folder,
     np.testing.assert_allclose(fit.centre, centre, atol=0.01 * np.mean(semi_axes))
 
 
-def test_a_box_at_rest_with_coarse_counts_is_no_huge_ellipsoid():
+def test_a_logger_at_rest_with_coarse_counts_gives_no_huge_ellipsoid():
     rng = np.random.default_rng(20)
     points = np.round((np.array([1.2, -0.1, 9.8]) + 0.01 * rng.standard_normal((20000, 3))) / 0.01) * 0.01
     points[:, 0] = np.round(1.2 + 0.001 * rng.standard_normal(20000), 2)

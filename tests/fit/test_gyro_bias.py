@@ -99,6 +99,6 @@ def test_a_temperature_that_was_not_seen_counts_as_the_nearest_that_was():
     ("temperature", "says"),
     [(np.full(100, 25.0), r"changed by only 0\.0 K"), (np.full(100, np.nan), "0 means at rest with a temperature")],
 )
-def test_without_a_change_of_temperature_nothing_is_said_of_it(temperature, says):
+def test_without_a_change_of_temperature_there_is_no_slope(temperature, says):
     with pytest.raises(FitError, match=says):
         fit_temperature(temperature, np.zeros((100, 3)))

@@ -30,7 +30,7 @@ def test_attitude_at_rest_comes_back_for_any_attitude_declination_and_inclinatio
     assert np.linalg.norm(so3.log(found.T @ R_ns)) < 1e-6
 
 
-def test_a_nose_down_box_has_positive_pitch_and_a_right_side_down_box_positive_roll():
+def test_nose_down_is_positive_pitch_and_right_side_down_positive_roll():
     roll, pitch = level_angles(np.array([-1.0, 0.0, 9.0]))  # forward-left-up: nose down, forward axis reads downhill
     assert roll == 0.0
     assert pitch > 0.0
@@ -46,7 +46,7 @@ def test_levelled_turns_the_force_upwards_and_leaves_the_heading():
     assert abs(yaw) < 1e-12
 
 
-def test_a_box_upside_down_is_levelled_too():
+def test_a_logger_upside_down_is_levelled_too():
     np.testing.assert_allclose(levelled(np.array([0.0, 0.0, -9.8])) @ [0.0, 0.0, -1.0], [0.0, 0.0, 1.0], atol=1e-12)
 
 

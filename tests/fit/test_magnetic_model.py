@@ -49,7 +49,7 @@ def test_the_vector_in_n_points_east_of_north_for_a_positive_declination_and_dow
 
 
 @pytest.mark.parametrize(("year", "used"), [(2003.0, 2010.0), (2041.5, 2030.0)])
-def test_a_date_outside_the_models_is_clipped_and_said(year, used):
+def test_a_date_outside_the_models_is_clipped_and_reported(year, used):
     field = earth_field(MADRID, year)
     assert field.year == used
     assert f"{used:.0f} was used" in field.note
@@ -60,7 +60,7 @@ def test_every_year_of_the_models_has_a_field(year):
     assert earth_field(MADRID, year).note == ""
 
 
-def test_a_place_near_a_magnetic_pole_is_said():
+def test_a_place_near_a_magnetic_pole_is_reported():
     assert "pole" in earth_field(Origin(86.0, -170.0, 0.0), 2026.0).note
 
 
@@ -101,7 +101,7 @@ def test_the_declination_comes_from_place_and_date():
     assert problems == ()
 
 
-def test_a_session_without_a_date_or_outside_the_models_says_what_was_assumed():
+def test_a_session_without_a_date_or_outside_the_models_reports_the_assumption():
     _, problems = session_declination(session())
     assert [problem.code for problem in problems] == ["magnetic_model_date"]
     _, problems = session_declination(replace(session(), config=SessionConfig(date="1999-01-01")))

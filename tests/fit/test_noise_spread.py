@@ -88,7 +88,7 @@ def _seen(ratio: float, theta: Array, drawn: int, seed: int = 0) -> Iterator[Arr
 
 
 @pytest.mark.parametrize("spread", [of_positions, of_velocities, of_rate])
-def test_what_nothing_tells_is_as_unsure_as_beforehand(spread: Callable[[Residuals], float]) -> None:
+def test_a_noise_that_is_not_observable_has_its_prior_sigma(spread: Callable[[Residuals], float]) -> None:
     assert spread(Residuals(np.zeros(100), np.zeros(100), 0.0)) == ANY_NOISE
     assert spread(Residuals(np.ones(100), np.full(100, 1e-4), 100.0)) == ANY_NOISE
     assert spread(Residuals(np.zeros(0), np.zeros(0), 0.0)) == ANY_NOISE

@@ -98,7 +98,7 @@ def test_a_quiet_sensor_that_drifts_slowly_is_at_rest():
     assert share(drive.detect(), drive.is_at_rest) > 0.9
 
 
-def test_a_box_that_is_turned_while_the_fixes_stand_still_is_not_at_rest():
+def test_a_logger_turned_while_the_fixes_stand_still_is_not_at_rest():
     drive = Drive()
     turned = (drive.t > 8.0) & (drive.t < 10.0)
     drive.rate[turned, 2] += 20.0 * DEG * np.sin(np.pi * (drive.t[turned] - 8.0))
@@ -113,7 +113,7 @@ def test_a_session_that_never_stops_has_no_standstill():
     assert not np.any(drive.detect())
 
 
-def test_nothing_is_said_where_no_fix_is_near():
+def test_without_a_fix_nearby_there_is_no_standstill():
     drive = Drive()
     seen = (drive.fix_t < 5.0) | (drive.fix_t > 12.0)
     mask = detect_standstill(drive.t, drive.force, drive.rate, drive.fix_t[seen], drive.fix_speed[seen])
@@ -134,7 +134,7 @@ def test_rests_shorter_than_a_second_are_left_out():
         assert np.any(drive.detect()) == is_found
 
 
-def test_on_the_bench_rest_is_told_from_turning_without_fixes():
+def test_on_the_bench_rest_is_distinguished_from_turning_without_fixes():
     t = np.arange(6000) / 100.0
     is_turned = (t % 10.0) > 6.0  # four positions with turns between them
     draw = rng(3)
@@ -216,7 +216,7 @@ def test_positions_alone_give_a_speed_with_a_limit_that_their_noise_allows(true_
     assert np.mean(speed[known] < limit[known]) > 0.9 if true_speed == 0.0 else np.all(speed[known] > limit[known])
 
 
-def test_a_single_fix_says_nothing():
+def test_a_single_fix_has_no_speed():
     speed, _ = fix_speeds(fixes_at(np.zeros((1, 2))), ORIGIN)
     assert np.isnan(speed[0])
 
@@ -260,7 +260,7 @@ def test_a_kart_that_is_turned_where_it_stands_does_not_stand_still(angle):
     assert share(drive.detect(), drive.t < 20.0) > 0.9  # the other stop is one
 
 
-def test_a_stop_that_is_nothing_but_turning_is_told_by_the_bias():
+def test_a_stop_of_turning_alone_is_found_by_the_bias():
     drive = Drive(engine=2.0, gyro_noise=6.0 * DEG)
     drive.rate[drive.t > 43.0, 2] += 12.0 * DEG
     at_the_end = drive.t > 44.0
@@ -289,7 +289,7 @@ def in_a_garage(quiet=0.02, lasts=20.0, speed=0.8):
         ({"speed": 2.5}, False),
     ],
 )
-def test_a_box_without_a_stir_stands_still_though_fixes_wander(changes, is_found):
+def test_a_motionless_logger_is_at_rest_though_fixes_wander(changes, is_found):
     drive, off = in_a_garage(**changes)
     assert (share(drive.detect(), off) > 0.85) == is_found
     assert not drive.detect()[(drive.t > 22.0) & (drive.t < 43.0)].any()

@@ -23,7 +23,7 @@ def test_rate_jitter_and_gaps_of_a_stream():
 
 
 @pytest.mark.parametrize(("count", "jitter"), [(2000, 1e-3), (20_000, 1e-3), (6000, 2e-4)])
-def test_a_rate_is_as_unsure_as_it_says(count, jitter):
+def test_the_sigma_of_a_rate_is_correct(count, jitter):
     rng, z = np.random.default_rng(2), []
     for _ in range(40):
         t = np.sort(np.arange(count) / 104.0 + jitter * rng.standard_normal(count))
@@ -69,7 +69,7 @@ def test_delay_and_turned_axes_of_a_magnetometer_are_found(outliers):
     assert np.all(found.turn_sigma < 0.004)
 
 
-def test_delay_and_turned_axes_are_as_unsure_as_they_say():
+def test_the_sigmas_of_delay_and_turned_axes_are_correct():
     z = []
     for seed in range(20, 28):
         rng = np.random.default_rng(seed)
@@ -80,7 +80,7 @@ def test_delay_and_turned_axes_are_as_unsure_as_they_say():
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.35  # 32 values: 1 within 0.13
 
 
-def test_a_box_that_was_not_turned_shows_no_delay():
+def test_a_logger_that_was_not_turned_shows_no_delay():
     t = np.arange(2000) / 100.0
     with pytest.raises(FitError, match="hardly turned"):
         magnetometer_against_gyro(t, np.zeros((2000, 3)), t, np.tile([1.0, 0.0, 0.0], (2000, 1)))

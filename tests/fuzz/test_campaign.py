@@ -26,7 +26,7 @@ def test_a_damaged_session_is_read_or_refused_in_one_line(form: str, tmp_path: P
 
 
 @pytest.mark.parametrize("form", sorted(CORPUS))
-def test_the_command_ends_with_a_code_that_says_what_happened(form: str, tmp_path: Path) -> None:
+def test_the_command_ends_with_the_right_exit_code(form: str, tmp_path: Path) -> None:
     for seed in COMMAND_SEEDS:
         files, done = damaged(form, seed)
         outcome = check_command(write_files(tmp_path / str(seed), files))

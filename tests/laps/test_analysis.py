@@ -168,7 +168,7 @@ def test_time_lost_in_all_corners_adds_up_to_the_lap(found: LapAnalysis) -> None
 
 
 @pytest.mark.parametrize("metres", [0.1, 0.3, 1.0])
-def test_a_loss_is_real_only_beyond_as_many_sigma_as_it_says(driven: Trajectory, fixes: Fixes, metres: float) -> None:
+def test_a_loss_is_real_only_beyond_its_threshold(driven: Trajectory, fixes: Fixes, metres: float) -> None:
     class Independent:
         def covariance(self, t: Array, direction_n: Array) -> Array:
             return metres**2 * np.where(t[:, None] == t[None, :], 1.0, 0.0) * (direction_n @ direction_n.T)
@@ -209,7 +209,7 @@ def test_the_usual_loss_is_no_surer_than_the_lap_compared_with(
         assert corner.usual_lost_sigma == pytest.approx(expected, rel=0.04)  # that of a mean would be 0.07 less
 
 
-def test_of_luck_alone_hardly_anything_is_real_however_much_is_compared() -> None:
+def test_by_chance_alone_hardly_any_loss_is_real() -> None:
     rng = np.random.default_rng(3)
     called, by_two_sigma = [], []
     for _ in range(200):
@@ -252,7 +252,7 @@ def test_statistics_hang_together(found: LapAnalysis) -> None:
     assert 1 <= said.within_tenth <= len(times)
 
 
-def test_a_stop_on_the_track_and_one_beside_it_are_told_apart(make: Made, fixes: Fixes) -> None:
+def test_a_stop_on_the_track_and_one_beside_it_are_distinguished(make: Made, fixes: Fixes) -> None:
     turn = 2.0 * np.pi / 25.0
     t = np.arange(0.0, 140.0, 0.02)
     driving = np.clip(np.abs(t - 62.0) - 4.0, 0.0, 1.0)  # stands from 58 to 66 s
@@ -330,7 +330,7 @@ def test_rows_of_laps_csv_have_the_names_of_the_contract(tmp_path: Path, found: 
     assert float(rows[1]["lap_time_s"]) == pytest.approx(float(rows[1]["end_s"]) - float(rows[1]["start_s"]), abs=2e-4)
 
 
-def test_a_session_without_laps_has_a_header_and_says_why(make: Made, fixes: Fixes) -> None:
+def test_a_session_without_laps_has_a_header_and_a_reason(make: Made, fixes: Fixes) -> None:
     t = np.arange(0.0, 20.0, 0.02)
     straight = make(t, np.stack([10.0 * t, 0.0 * t], axis=1))
     analysis = analyse(straight, fixes(straight))
@@ -406,7 +406,7 @@ def test_a_lap_is_shown_as_sure_as_the_best_lap_that_it_is(found: LapAnalysis) -
     assert {f"{lap['lap_time_sigma_s']:.3f}" for lap in laps} == {"0.027"}  # 0.0265 rounded again is 0.026
 
 
-def test_a_spread_within_the_timing_noise_is_said_in_words_and_an_assumed_noise_is_not_taken_out(
+def test_a_spread_within_the_timing_noise_is_noted_and_an_assumed_noise_is_not_removed(
     rings: Trajectory, fixes: Fixes
 ) -> None:
     class Unsure:

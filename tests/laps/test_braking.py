@@ -34,7 +34,7 @@ def test_a_hard_stop_begins_between_two_places_and_is_as_sure_as_the_place() -> 
     np.testing.assert_allclose(sigma, np.hypot(1.5, 2.0), atol=0.1)  # and 0.5 and 1.5 are
 
 
-def test_who_hardly_brakes_does_so_nobody_knows_where() -> None:
+def test_hardly_any_braking_has_no_braking_point() -> None:
     lifted = np.maximum(ramp(50.0, 10.0, 2.1, until=80.0), ramp(90.0, 4.0, 1.9))
     point, sigma = braking_points(laps(lifted), 40.0, 130.0)
     assert point[0] == pytest.approx(54.8, abs=0.5)

@@ -33,6 +33,6 @@ def test_the_zone_has_a_name_and_two_where_the_clock_was_changed() -> None:
     assert local_zone([]) == ""
 
 
-def test_the_luck_of_the_timing_is_what_the_times_that_are_shown_differ_by() -> None:
+def test_the_bias_of_the_timing_is_the_difference_of_the_displayed_times() -> None:
     said = chance_text(65.5634, 65.5556, 66.0)
     assert said == "best sectors add up to 1:05.556, which is 0.007 s too fast by chance"

@@ -45,7 +45,7 @@ def test_a_lap_that_was_not_at_a_place_has_no_speed_there_and_places_without_sig
     assert all(np.isnan(values).all() for values in vars(seen).values())
 
 
-def test_the_slowest_speed_is_not_the_unluckiest_row(make: Made) -> None:
+def test_the_slowest_speed_is_not_that_of_one_noisy_row(make: Made) -> None:
     t = 0.02 * np.arange(1500)
     errors = []
     for seed in range(20):

@@ -232,7 +232,7 @@ def test_laps_in_the_other_direction_are_not_mixed_in(make: Made, round_trip: Ro
     assert all(abs(lap_.time - lap) < 0.1 for lap_ in found.laps if lap_.is_valid)
 
 
-def test_a_given_line_elsewhere_is_said_and_one_is_found(circle: Trajectory, fixes: Fixes) -> None:
+def test_a_given_line_elsewhere_is_reported_and_one_is_found(circle: Trajectory, fixes: Fixes) -> None:
     far = GivenLines(np.array([[900.0, 0.0], [910.0, 0.0]]), name="elsewhere")
     found = analyse(circle, fixes(circle), LapOptions(lines=far))
     assert [problem.code for problem in found.problems] == ["line_missed"]

@@ -53,7 +53,7 @@ def slow_lap(found: LapAnalysis) -> int:
     return next(i for i, lap in enumerate(found.laps) if lap.is_valid and i != found.reference_lap)
 
 
-def test_only_losses_that_are_real_are_told(found: LapAnalysis) -> None:
+def test_only_real_losses_are_listed(found: LapAnalysis) -> None:
     assert largest_losses(with_loss(found, 3, 0.3, is_real=False)) == ()
     assert largest_losses(with_loss(found, 3, -0.3)) == ()
     (loss,) = largest_losses(with_loss(found, 3, 0.3))
@@ -67,7 +67,7 @@ def test_laps_that_do_not_count_tell_nothing(found: LapAnalysis) -> None:
     assert largest_losses(replace(lost, laps=laps)) == ()
 
 
-def test_what_was_clearly_different_is_told_and_nothing_else(found: LapAnalysis) -> None:
+def test_clear_differences_are_listed_and_nothing_else(found: LapAnalysis) -> None:
     lost = with_loss(found, 4, 0.2, braking_point=-9.0, entry_speed=0.8, min_speed=-1.5, exit_speed=-0.2)
     (loss,) = largest_losses(lost)
     # the entry was faster, the exit slower within its sigma, 0.14
@@ -75,7 +75,7 @@ def test_what_was_clearly_different_is_told_and_nothing_else(found: LapAnalysis)
     assert loss.differences[0].sigma == pytest.approx(2.0 * np.sqrt(2.0))
 
 
-def test_against_a_lap_of_another_session_only_the_time_is_told(found: LapAnalysis) -> None:
+def test_against_a_lap_of_another_session_only_the_time_is_listed(found: LapAnalysis) -> None:
     lost = replace(with_loss(found, 4, 0.2, min_speed=-5.0), reference_lap=None)
     assert [loss.differences for loss in largest_losses(lost)] == [()]
 

@@ -45,7 +45,7 @@ def test_a_line_across_the_track_is_used_whichever_way_its_numbers_stand(circle:
     assert len(lines.sectors) == 1
 
 
-def test_two_points_along_the_track_are_no_line_and_that_is_said(circle: Trajectory) -> None:
+def test_two_points_along_the_track_are_no_line_and_reported(circle: Trajectory) -> None:
     said = trusted_lines([OwnLine("start", (ALONG, swapped(ALONG)))], ORIGIN, plan_path(circle))
     assert isinstance(said, Problem)
     assert "does not lie across" in said.text
@@ -72,7 +72,7 @@ def test_sectors_count_only_when_all_of_them_can_be_trusted(circle: Trajectory) 
         ("kart_massafinalese_racechrono", "raw_racechrono_massa.vbo", "longitude"),
     ],
 )
-def test_a_head_alone_tells_both_orders(data_directory: Path, name: str, file: str, form: str) -> None:
+def test_a_head_alone_holds_both_orders(data_directory: Path, name: str, file: str, form: str) -> None:
     path = data_directory / name / file
     if not path.is_file():
         pytest.skip(f"no {path}")

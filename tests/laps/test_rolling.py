@@ -64,7 +64,7 @@ def uneven(t: Array) -> Array:
     return t / ROUND + 0.002 * np.sin(t / 11.0) + 0.0015 * np.sin(t / 17.0 + 1.0)
 
 
-def test_the_rolling_best_is_not_the_luckiest_of_all_windows(make: Made, fixes: Fixes) -> None:
+def test_the_rolling_best_is_not_the_least_of_all_noisy_windows(make: Made, fixes: Fixes) -> None:
     true = statistics(circling(make, uneven, None), fixes).rolling_raw
     said = [statistics(circling(make, uneven, seed), fixes) for seed in range(16)]
     error = np.array([one.rolling - true for one in said])

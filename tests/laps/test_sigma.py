@@ -29,7 +29,7 @@ def sure(circle: Trajectory) -> Trajectory:
     return Trajectory(**{**vars(circle), "joint": Independent()})
 
 
-def test_a_delta_is_as_unsure_as_its_four_crossings(sure: Trajectory, fixes: Fixes) -> None:
+def test_a_delta_has_the_sigma_of_its_four_crossings(sure: Trajectory, fixes: Fixes) -> None:
     found = analyse(sure, fixes(sure), LapOptions(lines=GATE, ties_laps=False))
     assert found.traces is not None
     other = next(i for i, lap in enumerate(found.laps) if lap.is_timed and i != found.reference_lap)

@@ -150,7 +150,7 @@ def bench() -> Iterator[ModuleType]:
         yield importlib.import_module("theoretical_best")
 
 
-def test_the_theoretical_best_of_karts_is_as_sure_as_it_says(bench: ModuleType) -> None:
+def test_the_theoretical_best_of_karts_has_a_correct_sigma(bench: ModuleType) -> None:
     scoring = importlib.import_module("scoring")
     scores: list[Any] = [bench.run(case) for case in scoring.cases("kart", range(340, 349), 240.0)]
     error, sigma = np.array([s.error for s in scores]), np.array([s.sigma for s in scores])

@@ -94,7 +94,7 @@ def test_an_offset_common_to_both_crossings_cancels(circle: Trajectory, fixes: F
     assert sigmas == pytest.approx([0.0] * 5, abs=2e-3)
 
 
-def test_without_a_joint_covariance_the_offset_is_modelled_and_said_so(circle: Trajectory, fixes: Fixes) -> None:
+def test_without_a_joint_covariance_the_offset_is_modelled_and_reported(circle: Trajectory, fixes: Fixes) -> None:
     found = analyse(circle, fixes(circle), LapOptions(lines=GATE))
     offset = 2.0 * 4.0 * (1.0 - np.exp(-LAP / 60.0))
     assert found.sigma_source == "model"

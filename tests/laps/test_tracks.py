@@ -49,7 +49,7 @@ def test_the_library_has_the_simulators_tracks_where_the_simulator_has_them() ->
         np.testing.assert_allclose(known[name].start, track.start_line_deg, atol=1e-8)
 
 
-def test_geojson_knows_start_sectors_in_order_and_finish(tmp_path: Path) -> None:
+def test_geojson_holds_start_sectors_in_order_and_finish(tmp_path: Path) -> None:
     lines = (("sector 2", [45.3, 12.0], [45.3001, 12.0]), ("start", A, B), ("sector 1", [45.2, 12.0], [45.2001, 12.0]))
     (track,) = load_tracks(written(tmp_path / "t.geojson", geojson(*lines, ("finish", A, B), track="hill")))
     assert track.name == "hill"
@@ -104,7 +104,7 @@ def test_of_several_layouts_the_one_that_was_driven_is_taken(tmp_path: Path, dri
         ('{"type": "FeatureCollection", "features": []}', "no LineString"),
     ],
 )
-def test_a_file_that_cannot_be_used_says_why(tmp_path: Path, text: str, message: str) -> None:
+def test_a_file_that_cannot_be_used_is_refused_with_the_reason(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "t.json"
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):

@@ -46,7 +46,7 @@ def told(analysis: LapAnalysis) -> list[str]:
 
 @pytest.mark.parametrize(("side", "way"), [(1.0, "clockwise"), (-1.0, "anticlockwise")])
 @pytest.mark.parametrize("together", [7, wrong_direction.TOGETHER])
-def test_laps_the_other_way_round_are_said_and_not_timed(
+def test_laps_the_other_way_round_are_reported_and_not_timed(
     make: Made, fixes: Fixes, monkeypatch: pytest.MonkeyPatch, side: float, way: str, together: int
 ) -> None:
     monkeypatch.setattr(wrong_direction, "TOGETHER", together)
@@ -62,7 +62,7 @@ def test_laps_the_other_way_round_are_said_and_not_timed(
     assert float(words[1]) == pytest.approx(begin, abs=4.0) and float(words[3]) == pytest.approx(end, abs=4.0)
 
 
-def test_two_such_stretches_are_said_in_one_line(make: Made, fixes: Fixes) -> None:
+def test_two_such_stretches_are_reported_in_one_line(make: Made, fixes: Fixes) -> None:
     """The quickest lap decides which way round the track goes."""
     t, laps = there_and_back(2.3, 5.0, again=2.3, pace=1.2)
     driven = make(t, RADIUS * along(CIRCLE, laps))

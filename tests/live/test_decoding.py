@@ -48,7 +48,7 @@ def test_frames_left_out_are_counted_by_their_numbers(frames: list[bytes]) -> No
     assert decoder.losses.lost_frames == 7
 
 
-def test_a_damaged_frame_is_lost_alone_and_said_to_be_damaged(frames: list[bytes]) -> None:
+def test_a_damaged_frame_is_lost_alone_and_counted_as_damaged(frames: list[bytes]) -> None:
     damaged = bytearray(frames[20])
     damaged[40] ^= 0x10
     decoder, _ = decoded([Chunk(0.0, b"".join([*frames[:20], bytes(damaged), *frames[21:40]]))])

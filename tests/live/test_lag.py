@@ -162,7 +162,7 @@ def test_what_was_eliminated_stays_where_it_was_when_the_window_moves(whole: Who
     np.testing.assert_allclose(b, known.A[:, -1] - known.A[:, column], atol=1e-6)
 
 
-def test_a_keyframe_that_has_turned_knows_no_more_of_where_it_is(whole: Whole) -> None:
+def test_a_keyframe_that_has_turned_has_no_more_information_of_position(whole: Whole) -> None:
     """A position and the slow error of the fixes that move against each other change nothing but that error's prior."""
     known, still = Marginal.of(whole.taken, whole.graph.prior, 200), np.zeros(CONSTANTS_SIZE)
 
@@ -196,7 +196,7 @@ def preintegrated(
     return measured
 
 
-def test_the_state_now_is_as_unsure_as_one_more_keyframe_is(whole: Whole) -> None:
+def test_the_state_now_has_the_sigma_of_one_more_keyframe(whole: Whole) -> None:
     first, end = 150, 201
     prior = Marginal.of(whole.taken, whole.graph.prior, first).factors()
     noise = replace(whole.graph.noise, slip=None)  # wheels know something of the next keyframes
@@ -267,7 +267,7 @@ def test_what_no_data_can_tell_of_the_offset_is_in_the_sigma_of_positions_and_in
     np.testing.assert_array_equal(one.unseen_offset, start.unseen_offset)
 
 
-def test_a_kart_is_as_unsure_as_the_mounting_of_its_box(
+def test_the_attitude_of_the_kart_contains_the_sigma_of_the_mounting(
     drive, navigating: LocalNavigator, snapshots: list[Snapshot]
 ) -> None:
     assert snapshots and navigating.start is not None

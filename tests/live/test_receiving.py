@@ -120,7 +120,7 @@ class NoWorker(Foreground):
         return future
 
 
-def test_bytes_nobody_takes_are_thrown_away_and_counted(port: Port) -> None:
+def test_bytes_that_are_not_taken_are_dropped_and_counted(port: Port) -> None:
     total = 3 * MOST_WAITING
     with Receiver(SerialSource(str(port.link))) as receiver:
         wait_until(lambda: receiver.status.is_open)  # opening a port throws away what came before

@@ -79,7 +79,7 @@ def test_the_file_holds_at_every_moment_what_has_come(drive, tmp_path: Path) -> 
     writer.close()
 
 
-def test_a_full_disc_is_said_and_what_came_meanwhile_is_written_when_there_is_room(
+def test_a_full_disc_is_reported_and_later_records_are_written_when_there_is_room(
     drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = recording._write_all
@@ -168,7 +168,7 @@ def test_the_command_writes_json_lines_and_a_session_that_can_be_checked(
     assert "error" not in found
 
 
-def test_without_a_view_a_port_that_is_not_there_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_view_a_missing_port_is_reported_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["live", "/dev/ttyNoSuchPort", "--headless", "--seconds", "2.5"]) == 0
     said = capsys.readouterr()
     assert said.out == ""
@@ -176,7 +176,7 @@ def test_without_a_view_a_port_that_is_not_there_is_said_once(capsys: pytest.Cap
     assert line.startswith("smooth: waiting for /dev/ttyNoSuchPort: no such port; ") and "`ls /dev/tty*`" in line
 
 
-def test_after_the_end_of_a_file_no_line_is_said_twice(
+def test_after_the_end_of_a_file_no_line_is_printed_twice(
     drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capture = tmp_path / "capture.bin"
@@ -189,7 +189,7 @@ def test_after_the_end_of_a_file_no_line_is_said_twice(
     assert lines[-1]["stage"] == "smoothing" and lines[-1]["losses"]["left_out_s"] == 0.0
 
 
-def test_without_a_view_a_terminal_is_told_how_far_a_file_is(
+def test_without_a_view_a_terminal_shows_the_progress_of_a_file(
     drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = []

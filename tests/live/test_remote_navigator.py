@@ -58,7 +58,7 @@ def test_a_job_that_fails_is_answered_with_what_went_wrong(worker: Background) -
     assert answer_of(worker.ask(operator.add, 1, 2)) == 3
 
 
-def test_a_process_that_dies_is_said_and_the_next_job_finds_another(worker: Background) -> None:
+def test_a_process_that_dies_is_reported_and_the_next_job_finds_another(worker: Background) -> None:
     said = answer_of(worker.ask(os._exit, 7))
     assert said == "the process that works it out ended, exit code 7"
     assert answer_of(worker.ask(operator.add, 1, 2)) == 3
@@ -99,7 +99,7 @@ def test_a_navigator_that_hangs_is_not_waited_for_and_what_it_misses_is_counted(
     assert not navigating.is_behind
 
 
-def test_a_navigator_that_is_killed_is_said_and_begins_again(
+def test_a_navigator_that_is_killed_is_reported_and_begins_again(
     navigating: RemoteNavigator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(remote_navigator, "START_AGAIN", 0.2)

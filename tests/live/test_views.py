@@ -35,7 +35,7 @@ FULL = Snapshot(
 )
 
 
-def test_everything_lost_is_said_and_what_was_not_is_not() -> None:
+def test_all_losses_are_listed_and_nothing_else() -> None:
     link = LinkStatus(disconnects=2, dropped_bytes=512)
     said = view_text.losses(Frame(FULL, link))
     for text in ("7 frames lost (6.5%)", "1 damaged", "40 bytes of noise", "512 bytes", "2 x unplugged"):
@@ -54,7 +54,7 @@ def test_a_file_that_waits_for_the_smoother_is_not_called_silent() -> None:
 @pytest.mark.parametrize(
     ("error", "hint"), [("no such port", "ls /dev/tty*"), ("permission denied", "dialout"), ("", ""), ("broken", "")]
 )
-def test_a_port_that_cannot_be_opened_is_said_with_what_to_look_at(error: str, hint: str) -> None:
+def test_a_port_that_cannot_be_opened_is_reported_with_a_remedy(error: str, hint: str) -> None:
     said = view_text.connection(LinkStatus(error=error), "/dev/ttyUSB0")
     assert said.startswith("/dev/ttyUSB0: NOT CONNECTED") and error in said and hint in said
     pulled = view_text.connection(LinkStatus(error=error, disconnects=1), "/dev/ttyUSB0")
@@ -110,7 +110,7 @@ def test_the_window_takes_any_snapshot(monkeypatch: pytest.MonkeyPatch) -> None:
             server.terminate()
 
 
-def test_the_box_level_and_heading_north_shows_its_back_its_top_and_one_side() -> None:
+def test_the_logger_level_and_heading_north_shows_its_back_its_top_and_one_side() -> None:
     window = pytest.importorskip("smoother.live.window", reason="Python without tkinter")
     faces, which = window.box_faces(np.eye(3))
     assert faces.shape == (3, 4, 2)

@@ -52,7 +52,7 @@ def test_the_axes_of_noise_are_labelled_without_powers_of_ten() -> None:
             assert len(labels) >= 3 and not any("10^" in label or "e-" in label for label in labels), labels
 
 
-def test_it_has_the_looks_of_the_other_pages_and_asks_for_nothing(page: Path) -> None:
+def test_it_has_the_style_of_the_other_pages_and_loads_nothing(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text
     assert "prefers-color-scheme: dark" in text and '<select id="theme">' in text

@@ -116,7 +116,7 @@ def test_thinning_keeps_every_peak_and_bounds_the_points() -> None:
     assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
 
 
-def test_a_running_median_tells_what_swings_five_times_a_second_as_one_and_keeps_what_lasts() -> None:
+def test_a_running_median_removes_what_swings_five_times_a_second_and_keeps_what_lasts() -> None:
     t = np.arange(2000) / 50.0
     swinging = 0.14 + 0.01 * np.cos(2.0 * np.pi * 5.0 * t) + np.where(t > 20.0, 1.0, 0.0)
     median = style.running_median(t, swinging, seconds=1.0)
@@ -213,7 +213,7 @@ def test_a_heading_that_turns_faster_than_pixels_can_show_is_still_drawn(
 
 
 @pytest.mark.parametrize(("tilt", "said"), [(0.0, "baseline"), (30.0, "baseline, in places off the scale")])
-def test_attitudes_of_the_baseline_that_leave_the_axes_are_said_to(
+def test_attitudes_of_the_baseline_that_leave_the_axes_are_noted(
     session: Session, trajectory: Trajectory, tilt: float, said: str
 ) -> None:
     roll, pitch, yaw = trajectory.euler.T
@@ -236,7 +236,7 @@ def test_the_band_of_an_attitude_lies_inside_its_axes(session: Session, trajecto
 
 
 @pytest.mark.parametrize("spike", [0.0, 9.0])
-def test_spikes_that_the_axes_of_accelerations_cut_are_told(
+def test_spikes_cut_by_the_axes_of_accelerations_are_noted(
     session: Session, trajectory: Trajectory, spike: float
 ) -> None:
     acceleration = np.clip(trajectory.acceleration_b, -1.0, 1.0)

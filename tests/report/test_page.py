@@ -203,7 +203,7 @@ def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
     assert text.count('class="slower"') + text.count('class="faster"') == real
 
 
-def test_where_nothing_says_how_sure_a_loss_is_no_luck_is_spoken_of(report: Report) -> None:
+def test_without_sigmas_of_losses_chance_is_not_mentioned(report: Report) -> None:
     assert report.laps is not None
     unknown = (
         replace(c, time_lost_sigma=np.full_like(c.time_lost_sigma, np.nan), is_real=np.zeros_like(c.is_real))
@@ -217,7 +217,7 @@ def _timed(laps: LapAnalysis) -> list[int]:
     return [i for i, lap in enumerate(laps.laps) if lap.is_timed]
 
 
-def test_without_laps_motion_sensor_and_baseline_the_page_says_so(session: Session, trajectory: Trajectory) -> None:
+def test_without_laps_motion_sensor_and_baseline_the_page_reports_it(session: Session, trajectory: Trajectory) -> None:
     n = len(trajectory)
     unknown = {"R_nb": np.full((n, 3, 3), np.nan), "acceleration_b": np.full((n, 3), np.nan)}
     bare = replace(trajectory, **unknown, sigmas=None, report=EstimateReport(mode="gps-only"))
@@ -243,7 +243,7 @@ def test_what_is_compared_is_called_by_what_is_there(report: Report) -> None:
         assert ("the baseline, an older method" in text) == (baseline is not None)
 
 
-def test_a_baseline_without_a_calibrated_compass_is_said_to_need_one(report: Report) -> None:
+def test_a_baseline_without_a_calibrated_compass_is_reported_to_need_one(report: Report) -> None:
     words = "the yaw of the baseline comes from the motion of the first minute"
     assert report.baseline is not None and words not in page(report)
     lost = EstimateReport(problems=(Problem("baseline_no_magnetometer", "no calibrated magnetometer"),))
@@ -299,7 +299,7 @@ def test_residuals_have_the_names_of_things_and_sigmas_stand_once(report: Report
     assert ">inertial<" not in text and "0.351" not in text and ">0.35<" in text
 
 
-def test_of_a_lap_against_itself_nothing_is_told(report: Report) -> None:
+def test_a_lap_against_itself_has_no_differences(report: Report) -> None:
     laps = report.laps
     assert laps is not None and laps.statistics is not None and laps.statistics.best_lap is not None
     text = page(report)
@@ -340,7 +340,7 @@ def identified_on(report: Report, **found: Identified) -> str:
     return text.partition("Identified constants")[2].partition("</table>")[0]
 
 
-def test_a_receiver_that_smooths_its_speed_is_told_in_seconds_and_only_where_that_is_clear(report: Report) -> None:
+def test_the_smoothing_time_of_a_receiver_is_shown_in_seconds_where_significant(report: Report) -> None:
     clear = Identified(0.0072, 0.0006, "s^2", True, "identified")
     row = "smooths its speed</td><td>0.1200</td><td>0.0050</td><td>s</td><td>identified</td>"
     assert row in identified_on(report, gps_velocity_response=clear)
@@ -348,7 +348,7 @@ def test_a_receiver_that_smooths_its_speed_is_told_in_seconds_and_only_where_tha
         assert "smooths" not in identified_on(report, gps_velocity_response=found)
 
 
-def test_what_a_session_does_not_show_of_faults_that_few_boxes_have_is_left_out(report: Report) -> None:
+def test_rare_faults_that_a_session_does_not_show_are_left_out(report: Report) -> None:
     found = Identified([0.2, 0.0, 0.1], [0.01, 0.01, 0.01], "m/s^2", True, "identified")
     assert "acceleration offset by vibration" in identified_on(report, accel_rectification=found)
     unseen = replace(found, observable=False, source="default")
@@ -382,7 +382,7 @@ def test_a_name_is_parted_at_its_signs_and_stays_itself() -> None:
     assert parted("") == []
 
 
-def test_numbers_are_said_as_people_say_them() -> None:
+def test_numbers_are_written_as_people_write_them() -> None:
     assert [lap_clock(s) for s in (58.6481, 62.345, 119.9999, float("nan"))] == ["58.648", "1:02.345", "2:00.000", "–"]
     assert lap_clock(3652.892) == "1:00:52.892"  # across lunch
     assert number(-0.001, 2) == "0.00"
@@ -390,7 +390,7 @@ def test_numbers_are_said_as_people_say_them() -> None:
     assert with_sigma(1.0, float("nan"), 2, signed=True) == "+1.00"
 
 
-def test_of_very_many_laps_the_quickest_are_drawn_and_the_page_says_so(
+def test_of_very_many_laps_the_quickest_are_drawn_and_the_page_notes_it(
     report: Report, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert report.laps is not None
@@ -411,7 +411,7 @@ def test_a_long_table_scrolls_by_itself() -> None:
         assert ("long" in (made.get("class") or "").split()) == is_long
 
 
-def test_fixes_alone_list_no_place_of_a_box(report: Report) -> None:
+def test_fixes_alone_list_no_mounting(report: Report) -> None:
     placeholder = Identified([0.0, 0.0, 0.0], None, "m", False, "default")
     found = {"lever_arm_b": placeholder, "gps_offset_tau": Identified(60.0, None, "s", False, "default")}
     told = {}
@@ -428,14 +428,14 @@ def test_units_of_what_was_identified_are_written_as_on_paper(report: Report) ->
     assert ">m/s²/√Hz<" in text and "sqrt(Hz)" not in text
 
 
-def test_the_page_says_the_length_of_the_drive_as_the_terminal_does(report: Report) -> None:
+def test_the_page_has_the_length_of_the_drive_as_the_terminal(report: Report) -> None:
     trajectory = report.smoothed
     length = float(trajectory.t[-1] - trajectory.t[0])
     stretched = replace(trajectory, t=trajectory.t[0] + (trajectory.t - trajectory.t[0]) * (199.7 / length))
     assert "in 3 min 20 s" in page(replace(report, smoothed=stretched))
 
 
-def test_without_laps_the_time_shown_is_around_the_top_speed_that_is_told(
+def test_without_laps_the_time_shown_is_around_the_top_speed(
     session: Session, trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not around a step of the fixes, where speed is high and known to be wrong."""
@@ -512,7 +512,7 @@ def test_of_one_lap_that_counts_nothing_is_compared(driven: tuple[Trajectory, La
         (0.0, "best sectors add up to 50.977: faster than the best lap by chance only"),
     ],
 )
-def test_the_luck_in_the_best_sectors_is_said_in_seconds(report: Report, below_best: float, words: str) -> None:
+def test_the_bias_of_the_best_sectors_is_shown_in_seconds(report: Report, below_best: float, words: str) -> None:
     assert report.laps is not None and report.laps.statistics is not None
     theoretical = 51.0 - below_best
     times = {"best": 51.0, "theoretical": theoretical, "theoretical_raw": theoretical - 0.023}
@@ -533,7 +533,7 @@ def test_a_loss_never_has_a_sigma_of_nought(report: Report) -> None:
 
 
 @pytest.mark.parametrize(("gaps", "longest"), [(0, 0.0), (1, 3.0)])
-def test_without_gaps_no_longest_one_is_told(
+def test_without_gaps_no_longest_one_is_shown(
     gaps: int, longest: float, report: Report, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = page_module.recorded_check(report.session)
@@ -579,7 +579,7 @@ def test_reasons_why_a_lap_does_not_count_stand_apart(report: Report) -> None:
 
 
 @pytest.mark.parametrize("faster", [0.2, -0.2])
-def test_a_rolling_best_below_the_theoretical_says_why(report: Report, faster: float) -> None:
+def test_a_rolling_best_below_the_theoretical_is_explained(report: Report, faster: float) -> None:
     assert report.laps is not None and report.laps.statistics is not None
     said = report.laps.statistics
     theoretical = said.best - 0.1

@@ -385,7 +385,7 @@ def test_every_corner_has_its_number_over_the_traces_of_a_wide_screen(opened: An
 
 
 @pytest.mark.parametrize("name", ["simulated_page", "compared_page"])
-def test_bands_end_inside_their_frame_or_the_title_says_that_they_do_not(
+def test_bands_end_inside_their_frame_or_the_title_notes_it(
     name: str, browser: Any, request: pytest.FixtureRequest
 ) -> None:
     browser.get(request.getfixturevalue(name).as_uri())

@@ -78,7 +78,7 @@ def test_a_stated_delay_of_the_samples_is_taken_off_beyond_the_half_period_that_
     np.testing.assert_allclose(plain.t - delayed.t, 0.02 - 0.5 * period, atol=1e-9)
 
 
-def test_gps_csv_wins_over_sentences_and_says_so(folder: Folder) -> None:
+def test_gps_csv_wins_over_sentences_with_a_problem(folder: Folder) -> None:
     session = folder.write(gps__csv=gps_csv(), rover__nmea="".join(nmea_epochs(50))).load()
     assert session.inputs == ("gps.csv",) and "gps_csv_preferred" in codes(session)
 

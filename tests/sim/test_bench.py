@@ -22,7 +22,7 @@ def bench(seed=0, imu=None, mag=None, **plan):
     return simulate_bench(imu, mag, FIELD_N, rng, BenchPlan(still=5.0, positions=8, waving=10.0, **plan))
 
 
-def test_at_rest_a_perfect_box_reads_gravity_and_no_rate():
+def test_at_rest_a_perfect_logger_reads_gravity_and_no_rate():
     made = bench()
     still = ~made.is_moved
     np.testing.assert_allclose(np.linalg.norm(made.imu.accel[still], axis=1), STANDARD_GRAVITY, rtol=1e-12)
@@ -38,7 +38,7 @@ def test_the_rates_add_up_to_the_attitudes():
     np.testing.assert_allclose(R, made.R_ns[-1], atol=1e-9)
 
 
-def test_the_field_has_its_strength_and_turns_with_the_box():
+def test_the_field_has_its_strength_and_turns_with_the_logger():
     made = bench()
     np.testing.assert_allclose(np.linalg.norm(made.mag.field, axis=1), np.linalg.norm(FIELD_N), rtol=1e-12)
     np.testing.assert_allclose(made.mag.field[19], made.R_ns[99].T @ FIELD_N, atol=1e-9)

@@ -108,7 +108,7 @@ def test_kart_is_tilted_by_at_most_30_degrees_and_turned_anyhow():
     assert np.min(yaw) < -140.0 and np.max(yaw) > 140.0
 
 
-def test_harsh_box_sits_anyhow():
+def test_the_harsh_preset_has_any_mounting():
     up = np.array([s.R_bs[2, 2] for s in all_of("kart_harsh")])
     assert np.min(up) < -0.9 and np.max(up) > 0.9
     for s in all_of("kart_harsh"):

@@ -77,7 +77,7 @@ def test_a_delay_of_the_accelerometer_leaves_the_rate_alone(truth):
     np.testing.assert_array_equal(values(late)[1], values(prompt)[1])
 
 
-def test_a_box_on_the_wheel_turns_with_it_and_feels_the_kart_in_its_axes(truth):
+def test_a_logger_on_the_wheel_measures_in_axes_that_turn_with_it(truth):
     wheel = Wheel(wander(-5.0, 65.0, 0.15, rng(), 10.0 * DEG), np.array([-0.6, 0.0, 0.8]))
     R_bs = so3.exp(np.array([0.4, -1.0, 2.0]))
     force, rate = values(simulate_imu(truth, ImuErrors(rate=1000.0), R_bs, 60.0, rng(), wheel))
@@ -99,7 +99,7 @@ def test_a_magnetometer_on_the_wheel_turns_with_it(parked):
     assert np.std(turned @ across) > 0.05 * (across @ across)  # as sin(10 deg)
 
 
-def test_samples_are_resolved_in_the_axes_of_the_box(truth):
+def test_samples_are_resolved_in_sensor_axes(truth):
     R_bs = so3.exp(np.array([0.4, -1.0, 2.0]))
     turned, straight = (simulate_imu(truth, ImuErrors(), R, 60.0, rng()) for R in (R_bs, EYE))
     for in_s, in_b in zip(values(turned), values(straight), strict=True):
@@ -384,7 +384,7 @@ def test_sentences_that_arrive_late_are_stamped_late_and_in_order(truth):
 # --- magnetometer
 
 
-def test_field_points_where_the_world_magnetic_model_says():
+def test_field_points_where_the_world_magnetic_model_does():
     track = TRACKS["longmeadow"]
     north, west, up = earth_field_n(track.origin, UNIX)
     declination = np.degrees(np.arctan2(-west, north))
