@@ -150,7 +150,6 @@ _UNITS = {
 }
 _LARGEST = {"accel_offset": 10.0, "gyro_bias": 4.0, "gyro_bias_slope": 0.1}  # length; an offset of gravity is none
 _STRETCHES = (0.7, 1.4)  # by matrices of accelerometers and gyroscopes; the cheapest are off by a tenth
-_ROUNDNESS = 0.1  # least stretch of a soft iron, of its most
 _TABLES = {
     "accelerometer": {"offset": "accel_offset", "matrix": "accel_matrix"},
     "gyroscope": {"bias": "gyro_bias", "bias_per_kelvin": "gyro_bias_slope", "matrix": "gyro_matrix"},
@@ -163,7 +162,6 @@ _NOTES = {  # what `smooth calibrate` writes beside them, for people
     "magnetometer": ("coverage", "semi_axes", "axes_turned", "axes_turned_sigma", "assumed", "level_hard_iron_sigma"),
 }
 _NOT_USED = "magnetometer_in_kart"  # a table that earlier versions wrote as information
-_ALIKE = 0.7  # of names that are meant for one another, as difflib counts
 
 
 def find_calibration(directory: Path) -> Path | None:
@@ -221,7 +219,7 @@ def _require_known(document: Mapping[str, object], path: Path) -> None:
         if name in _TABLES and isinstance(section, dict):
             _require_known_keys(name, section, path)
         elif name not in (*_TABLES, _NOT_USED) and not isinstance(section, str):
-            near = did_you_mean(name, _TABLES, _ALIKE)
+            near = did_you_mean(name, _TABLES, 0.7)  # of names that are meant for one another, as difflib counts
             inside = section if isinstance(section, dict) else {name}
             if near or any(key in keys for key in inside for keys in _TABLES.values()):
                 raise ConfigError(f"{path.name}: {name} is unknown{near}; known tables: {', '.join(_TABLES)}")
@@ -360,7 +358,7 @@ def _require_credible(name: str, value: Array, path: Path, table: str, key: str)
         return
     least, _, most_stretched = sorted(np.linalg.svd(value, compute_uv=False).tolist())
     low, high = _STRETCHES
-    if name == "soft_iron" and not least > _ROUNDNESS * most_stretched:
+    if name == "soft_iron" and not least > 0.1 * most_stretched:  # least stretch of a soft iron, of its most
         raise ConfigError(f"{path.name}: [{table}] {key} makes a disc of the field; calibrate again, or delete it")
     if name != "soft_iron" and not low < least <= most_stretched < high:
         text = f"stretches by {least:.3g} to {most_stretched:.3g}, where sensors need 0.9 to 1.1"

@@ -11,8 +11,6 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import AppliedValue, GnssFixes, Problem, RawSession, Session
 
-FEWEST_FIXES = 2
-GOOD_HORIZONTAL_SIGMA = 10.0  # m; a receiver that reports worse is still searching
 FEWEST_DECIMALS = 4  # of degrees: 11 m; with three, 111 m, a track has no shape
 UNIT_FIELD = (0.75, 1.33)  # median length of a calibrated field; outside, it was calibrated somewhere else
 
@@ -27,7 +25,7 @@ def prepare(raw: RawSession, calibration_file: Path | None = None) -> Session:
     """
     if len(raw.gnss) == 0:
         raise SessionError(f"{raw.name}: no usable GPS fix; the antenna needs a view of the sky before the start")
-    if len(raw.gnss) < FEWEST_FIXES:
+    if len(raw.gnss) < 2:
         reasons = "; ".join(problem.text for problem in raw.problems if problem.code.startswith("gps_"))
         raise SessionError(f"{raw.name}: only one usable fix, which is no track{f' ({reasons})' if reasons else ''}")
     if (decimals := _decimals(raw.gnss)) < FEWEST_DECIMALS:
@@ -83,7 +81,7 @@ def choose_origin(fixes: GnssFixes) -> Origin:
     """
     assert fixes.sigma_horizontal is not None
     sigma = fixes.sigma_horizontal
-    good = ~(sigma > GOOD_HORIZONTAL_SIGMA)
+    good = ~(sigma > 10.0)  # m; a receiver that reports worse is still searching
     lat, lon = np.median(fixes.lat_deg), np.median(fixes.lon_deg)
     near = (np.abs(fixes.lat_deg - lat) < 0.5) & (np.abs(fixes.lon_deg - lon) * np.cos(np.radians(lat)) < 0.5)
     for mask in (good & near, near):

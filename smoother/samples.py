@@ -22,7 +22,6 @@ GAP_STEPS = 1.5  # usual steps, beyond which a sample is missing
 BESIDE = 16  # steps before or after one, that tell the rate there
 ALIKE_STEPS = 1.6  # ratio of the long ones among these to the short ones; between samples lost by chance it is more
 SLOWEST_STEP = 0.0525  # s; twenty samples a second, with some jitter: fewer do not tell how a kart moves
-RATES_TOGETHER = 1 << 16  # steps whose neighbours are looked at together
 
 IMU_BEFORE_FIXES, IMU_AFTER_FIXES = "imu_before_fixes", "imu_after_fixes"  # by the stamps of both, as they were read
 IMU_AXES_UNKNOWN, IMU_INCOMPLETE = "imu_axes_unknown", "imu_incomplete"  # codes of motion sensors that are not used
@@ -55,7 +54,7 @@ def usual_steps(steps: Array, usual: float) -> Array:
     """
     local = np.full(len(steps), usual)
     long = np.flatnonzero(steps > GAP_STEPS * usual)
-    for part in pieces(len(long), RATES_TOGETHER):
+    for part in pieces(len(long), 1 << 16):  # steps whose neighbours are looked at together
         for beside in (np.arange(BESIDE + 1), np.arange(-BESIDE, 1)):
             some = long[part]
             some = some[(some + beside[0] >= 0) & (some + beside[-1] < len(steps))]

@@ -30,7 +30,6 @@ from smoother.errors import SmootherError
 COMMAND = ("-P", "-m", "smoother.cli")  # -P: no module of the working directory stands in for ours
 """What Python is asked to run for each session."""
 STARTS = 2  # of a session that something outside killed: the system, short of memory for all, or a person
-LOOK = 0.02  # s between polls of a process
 MOST_STDERR = 65536  # bytes of the standard error of a process that are kept, the last ones
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "memory allocation of", "Cannot allocate memory", "can't start new thread")
 
@@ -122,7 +121,7 @@ def _wait(process: subprocess.Popen[bytes], end: float, stop: threading.Event) -
         if time.monotonic() > end:
             is_late = True
             _kill(process)
-        stop.wait(LOOK)
+        stop.wait(0.02)  # s between polls of a process
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -41,7 +41,6 @@ STATES = {
     "lost": "lost",
     "waiting": "waiting",
 }
-MOST_TILES = 3  # of best laps, a track each; the tables below have all
 Cells = Sequence[Child]
 
 
@@ -89,7 +88,7 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
     cards = [card("Sessions", str(len(entries)), f"{good} ok" + "".join(f", {part}" for part in parts))]
     mark = element("span", str(failed), class_="bad" if failed else "good")
     cards.append(card("Without a result", mark, element("a", "see why", href="#wrong") if failed else "none"))
-    for track in tracks[:MOST_TILES]:
+    for track in tracks[:3]:  # of best laps, a track each; the tables below have all
         if bests := track.karts or track.drivers:
             title = f"Best lap: {track.name}" if len(tracks) > 1 else "Best lap"
             cards.append(card(title, lap_clock(bests[0].time), _whose(bests[0], bool(track.karts))))

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from smoother.report.compare_page import Compared
 
 PAGE = "comparison.html"
-FAR = 5000.0  # m between two sessions: not the same track
 
 
 @click.command(short_help="Laps of several sessions on one reference line.", epilog=ABOUT_EXIT)
@@ -141,7 +140,7 @@ def _require_same_place(name: str, first_name: str, other: Stored, own: LapAnaly
     assert own.reference is not None
     track = np.mean(own.reference.position_n, axis=0)
     distance = float(np.min(np.linalg.norm(other.trajectory.position_n[:, :2] - track, axis=1)))
-    if distance > FAR:
+    if distance > 5000.0:  # m between two sessions: not the same track
         raise UsageError(f"{name}: was driven {distance / 1000.0:.0f} km away from {first_name}; compare one track")
 
 

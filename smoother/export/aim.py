@@ -16,7 +16,6 @@ from smoother.export.text import PRODUCT, date_and_time, lap_clock, lines, quote
 from smoother.report.files import replacing
 from smoother.units import DEG, KMH, STANDARD_GRAVITY
 
-SATELLITES = 10  # as in the VBO: the number is not known after smoothing, and zero would mean no fix
 LARGEST_RADIUS = 10_000.0  # m; a straight
 NAMES = (  # name, unit, format
     ("Time", "s", "%.3f"),
@@ -103,7 +102,7 @@ def _fixed(rows: Rows) -> list[Array]:
     return [
         rows["elapsed_s"],
         speed / KMH,
-        np.full(len(rows), SATELLITES),
+        np.full(len(rows), 10),  # as in the VBO: the number is not known after smoothing, and zero would mean no fix
         -left / STANDARD_GRAVITY,
         rows["accel_forward_mps2"] / STANDARD_GRAVITY,
         np.arctan2(rows["vel_up_mps"], np.maximum(speed, STANDING)) / DEG,

@@ -21,7 +21,6 @@ from smoother.report.files import replacing
 from smoother.units import KMH
 
 SPEED = Channel("speed", "speed_mps", "km/h", KMH)
-HALF_TURN = 180.0  # deg; a step of longitude beyond is a crossing of the date line
 
 
 def write(source: Source, path: Path) -> None:
@@ -59,7 +58,7 @@ class _Features:
         lap, lon = np.where(np.isfinite(rows["lap"]), rows["lap"], -1.0), longitude(rows["lon_deg"])
         before = np.concatenate([[self._lon], lon[:-1]])
         new_lap = np.diff(lap, prepend=-2.0 if self._lap is None else self._lap) != 0.0
-        new_line = np.abs(lon - before) > HALF_TURN
+        new_line = np.abs(lon - before) > 180.0  # deg; a step of longitude beyond is a crossing of the date line
         starts = np.flatnonzero(new_lap | new_line)
         bounds = np.unique(np.concatenate([[0], starts, [len(rows)]]))
         for first, end in pairwise(bounds.tolist()):

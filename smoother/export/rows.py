@@ -18,7 +18,6 @@ from smoother.frames import Origin, nwu_to_geodetic
 BLOCK_BYTES = 4 << 20
 LONGEST_LINE = 1 << 16  # bytes; a row has 33 numbers
 SLOW = 0.5  # m/s; below, the direction of the velocity is noise, and the kart's own heading is used
-RESET = 5.0  # m; a track distance that falls by more has passed the line
 
 REQUIRED = (
     *("t_s", "lat_deg", "lon_deg", "alt_m", "north_m", "west_m", "up_m"),
@@ -157,7 +156,7 @@ def interpolated(rows: Rows, t: Array, origin: Origin) -> Rows:
     for position, velocity in zip(POSITIONS, VELOCITIES, strict=True):
         columns[position] = _hermite(rows[position], rows[velocity], i, u, step)
     distance = rows["lap_distance_m"]
-    reset = distance[i + 1] < distance[i] - RESET
+    reset = distance[i + 1] < distance[i] - 5.0  # m; a track distance that falls by more has passed the line
     columns["lap_distance_m"] = np.where(reset, distance[np.where(u < 0.5, i, i + 1)], columns["lap_distance_m"])
     position_n = np.stack([columns[name] for name in POSITIONS], axis=-1)
     columns["lat_deg"], columns["lon_deg"], columns["alt_m"] = nwu_to_geodetic(position_n, origin)

@@ -22,14 +22,11 @@ from scipy.stats import chi2
 from smoother.arrays import Array, BoolArray, freeze
 from smoother.fit.ellipsoid import FitError
 
-FEWEST_SAMPLES = 1000
 PARTS = ("noise density", "bias instability", "random walk")
 TAPERS = 4  # a spectral estimate has twice as many degrees of freedom
 HIGHEST_FREQUENCY = 0.125  # of the sampling rate; above, the sensor's own low-pass filter bends the spectrum
 BANDS_PER_DECADE = 30
 LINE_CHANCE = 1e-6  # that noise alone lifts a band this far: mains hum and the like are left out
-SEEN_SIGMAS = 2.0  # a part that is smaller than this many of its sigmas was not seen
-ITERATIONS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +99,14 @@ def fit_noise(values: Array, rate: float) -> NoiseFigures:
     covariance = np.stack([fit[1] for fit in fits])
     square_sigma = np.sqrt(np.einsum("dii->di", covariance))
     value, upper = np.sqrt(square), np.sqrt(square + 2.0 * square_sigma)
-    seen = square > SEEN_SIGMAS * square_sigma
+    seen = square > 2.0 * square_sigma  # a part that is smaller than this many of its sigmas was not seen
     sigma = np.where(seen, 0.5 * square_sigma / np.maximum(value, 1e-300), upper - value)
     return NoiseFigures(value, sigma, upper, seen, covariance)
 
 
 def _checked(values: Array) -> Array:
     values = np.asarray(values, dtype=np.float64)
-    if len(values) < FEWEST_SAMPLES:
+    if len(values) < 1000:
         raise FitError(
             f"{len(values)} samples at rest are too few for an Allan deviation; let the logger lie for minutes"
         )
@@ -186,7 +183,7 @@ def _is_line(density: Array, freedom: Array) -> BoolArray:
 def _whittle(density: Array, basis: Array, freedom: Array) -> Array:
     """Non-negative squares (3,) of greatest likelihood: Fisher scoring, each step a weighted least squares."""
     square = np.full(3, 1.0 / 3.0)
-    for _ in range(ITERATIONS):
+    for _ in range(50):
         weight = np.sqrt(0.5 * freedom) / np.maximum(basis @ square, 1e-12 * np.median(density))
         before = square
         square, _ = nnls(basis * weight[:, None], density * weight)

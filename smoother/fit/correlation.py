@@ -4,7 +4,6 @@ import numpy as np
 
 from smoother.arrays import Array
 
-LONGEST_MEMORY = 200  # residuals
 SIGNIFICANT = 4.0  # sigmas of the autocorrelation of white noise
 
 
@@ -19,7 +18,7 @@ def correlation_growth(residual: Array) -> float:
     if n < 20 or power == 0.0:
         return 1.0
     total, limit = 0.0, SIGNIFICANT / np.sqrt(n)
-    for lag in range(1, min(LONGEST_MEMORY, n // 4)):
+    for lag in range(1, min(200, n // 4)):  # residuals
         correlation = float(centred[lag:] @ centred[:-lag]) / power
         if correlation < limit:
             break

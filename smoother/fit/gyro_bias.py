@@ -13,8 +13,6 @@ from smoother.fit.correlation import correlation_growth
 from smoother.fit.ellipsoid import FitError
 
 THESIS_SAMPLES = 1000  # 20 s at its 50 Hz, taken to be at rest
-SMALLEST_SPAN = 3.0  # K; less is the sensor's own self-heating noise
-FEWEST_BATCHES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +86,9 @@ def fit_temperature(temperature: Array, angular_rate: Array) -> TemperatureFit:
     """
     known = np.isfinite(temperature) & np.all(np.isfinite(angular_rate), axis=1)
     T, rate = temperature[known], angular_rate[known]
-    if len(T) < FEWEST_BATCHES:
+    if len(T) < 10:
         raise FitError(f"{len(T)} means at rest with a temperature are too few for the gyro's dependence on it")
-    if np.ptp(T) < SMALLEST_SPAN:
+    if np.ptp(T) < 3.0:  # K; less is the sensor's own self-heating noise
         raise FitError(f"the temperature changed by only {np.ptp(T):.1f} K; let the cold logger warm up for 20 min")
     middle = float(np.mean(T))
     centred = T - middle

@@ -25,7 +25,6 @@ FEWEST_TURNS = 8
 LONGEST_TURN = 30.0  # s; beyond, the noise has outgrown what the turn shows
 SMALLEST_TURN = 0.2  # rad by which gravity's direction changes
 PRIOR = 0.1  # sigma of each entry about one and zero; ten times a poor data sheet
-LARGEST_SIGMA = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +92,7 @@ def fit_gyro_matrix(
             break
     scatter = excess_scatter(chi_square, 2 * len(turns) - 9)
     covariance = covariance * scatter**2
-    if np.sqrt(np.max(np.diagonal(covariance))) > LARGEST_SIGMA:
+    if np.sqrt(np.max(np.diagonal(covariance))) > 0.01:
         raise FitError("the turns between resting positions do not tell the gyroscope's scale on every axis")
     before, after = (_rms_miss(turns, up, accel, M, len(positions)) for M in (np.eye(3), matrix))
     return GyroMatrixFit(matrix, covariance, len(turns), scatter, before, after)

@@ -15,15 +15,12 @@ from smoother.fit.loop import find_loop
 from smoother.fit.plan_path import PlanPath
 from smoother.fit.running import gaussian_mean
 
-SHORTEST = 150.0  # m, of a lap
 LONGEST_STEP = 0.35  # s between fixes at the most: a curve through rarer ones misses a corner by decimetres
 HOLE = 1.0  # s between fixes, over which nothing is crossed
 STEP = 0.05  # s between the places at which crossings are looked for
 REACH = 12.0  # m to either side of the line
 BESIDE = 5.0  # m along the line, from a crossing to the places around it
 OF_LENGTH, OF_PLACE = 0.04, 0.05  # of the loop: by how much laps differ in length, and places in a lap
-LEAST_OF_PLACE = 20.0  # m
-SLOW = 1.3  # times the quickest lap's time
 LEAST_SHARE = 0.6  # of the stations that a lap has to cross, and of the laps that have to cross a station
 SMOOTHED = 3.0  # m, one sigma, over which the passage is smoothed that the stations are on
 
@@ -58,7 +55,7 @@ def cross_stations(t: Array, position_n: Array, spacing: float = 10.0) -> LapCro
     path = _path(t, position_n)
     after = np.clip(np.searchsorted(t, path.t), 1, len(t) - 1)
     is_hole: BoolArray = t[after] - t[after - 1] > HOLE
-    loop = find_loop(path, SHORTEST, is_hole)
+    loop = find_loop(path, 150.0, is_hole)  # m: the shortest lap
     if loop is None or loop.length < 4.0 * spacing:
         return None
     return _crossings(path, is_hole, loop.start, loop.end, spacing)
@@ -90,7 +87,7 @@ def _crossings(path: PlanPath, is_hole: BoolArray, start: float, end: float, spa
         expected = starts[:, 0] + distance[j] / length * (starts[:, 1] - starts[:, 0])
         if len(at):
             nearest = np.argmin(np.abs(driven - expected[:, None]), axis=1)
-            good = np.abs(driven[nearest] - expected) < max(LEAST_OF_PLACE, OF_PLACE * length)
+            good = np.abs(driven[nearest] - expected) < max(20.0, OF_PLACE * length)  # m
             offset[good, j], time[good, j] = beside[nearest[good]], at[nearest[good]]
     usable = np.mean(np.isfinite(offset), axis=0) > LEAST_SHARE
     if np.count_nonzero(usable) < LEAST_SHARE * len(usable):
@@ -136,4 +133,4 @@ def _laps(path: PlanPath, at: Array, length: float) -> Array:
     if not len(laps):
         return laps
     took = laps[:, 1] - laps[:, 0]
-    return np.asarray(laps[took < SLOW * took.min()])
+    return np.asarray(laps[took < 1.3 * took.min()])  # times the quickest lap's time

@@ -21,14 +21,9 @@ from smoother.fit.lap_crossings import LapCrossings, cross_stations
 FEWEST = 4  # laps
 SPACING = 10.0  # m between stations
 BLOCKS = 10  # of the track, left out in turn
-MOST_LASTING = 250.0  # m, over which residuals may be alike
 WITHIN = 6  # times of a lap that stand for all of it
 SETTLED = 6  # times that weights are renewed
-ROUNDS = 60  # of line and translations in turn, at the most
-STILL = 1e-4  # m, by which the line still moves
-MILD = 2.5  # sigmas of offsets about the line, at which one counts half
 LEAST_SCATTER = 0.1  # m, of offsets about the line, whatever these are like
-USED = 0.5  # of the laps, that a station has to have
 STIFF = 1e-6  # of a station: keeps the translation of a lap defined where all normals are parallel
 # Of a receiver's slow error, m and s: logarithms of candidates, and what is usual: mean and sigma of the logarithm.
 LOG_SIGMA, LOG_TAU = np.log(np.geomspace(0.01, 12.0, 43)), np.log(np.geomspace(10.0, 1000.0, 24))
@@ -91,12 +86,12 @@ class _Line:
 
 def _common_line(offset: Array, normal_n: Array) -> _Line:
     weight = np.isfinite(offset).astype(np.float64)
-    weight[:, weight.sum(axis=0) < USED * len(offset)] = 0.0
+    weight[:, weight.sum(axis=0) < 0.5 * len(offset)] = 0.0  # of the laps, that a station has to have
     line = _translated(offset, normal_n, weight)
     for _ in range(SETTLED):  # the loss redescends softly, from a good start
         used = line.weight > 0.0
         scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(line.residual[used]))), LEAST_SCATTER)
-        fourth = (line.residual / (MILD * scatter)) ** 4
+        fourth = (line.residual / (2.5 * scatter)) ** 4  # sigmas of offsets about the line, at which one counts half
         weight = np.where(used, 1.0 / (1.0 + fourth), 0.0)
         slope = np.where(used, (1.0 - 3.0 * fourth) * weight**2, 0.0)
         line = replace(_translated(offset, normal_n, weight), loss=float(np.sum(weight) / np.sum(slope)))
@@ -109,11 +104,11 @@ def _translated(offset: Array, normal_n: Array, weight: Array) -> _Line:
     total = np.maximum(weight.sum(axis=0), 1e-9)
     middle, moved = (weight * offset).sum(axis=0) / total, np.zeros((len(offset), 2))
     inverse = np.linalg.inv(_normal_matrix(weight, normal_n))
-    for _ in range(ROUNDS):
+    for _ in range(60):  # of line and translations in turn, at the most
         moved = np.einsum("iab,ib->ia", inverse, (weight * (offset - middle)) @ normal_n)
         moved -= moved.mean(axis=0)
         before, middle = middle, (weight * (offset - moved @ normal_n.T)).sum(axis=0) / total
-        if np.max(np.abs(middle - before)) < STILL:
+        if np.max(np.abs(middle - before)) < 1e-4:  # m, by which the line still moves
             break
     residual = np.where(weight > 0.0, offset - middle - moved @ normal_n.T, 0.0)
     return _Line(moved, residual, weight)
@@ -151,7 +146,7 @@ def _lasting(line: _Line, distance: Array) -> float:
     """Distance, m, over which residuals are alike, as the sigma of a Gaussian: from the sum of their correlations."""
     values = np.where(line.weight > 0.0, line.residual * np.sqrt(line.weight), 0.0)
     spacing = float(np.median(np.diff(distance)))
-    lags = min(len(distance) // 4, int(MOST_LASTING / spacing))
+    lags = min(len(distance) // 4, int(250.0 / spacing))  # m, over which residuals may be alike
     products = np.array([np.mean(values[:, : len(distance) - k] * values[:, k:]) for k in range(lags + 1)])
     alike = products / max(products[0], 1e-12)
     until = int(np.argmax(np.append(alike, -1.0) < 0.0))

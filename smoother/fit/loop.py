@@ -14,19 +14,16 @@ from smoother.disc import pieces
 from smoother.fit.plan_path import PlanPath
 
 SAME_PLACE = 10.0  # m: how wide a track is driven, plus what the GPS wanders between two laps
-SAME_DIRECTION = 0.7  # least cosine between the two directions of travel
 SPACING = 4.0  # m between the places that are compared
 MOST_PLACES = 1500  # that are looked for again; more say nothing new
 PAIRS = 1 << 24  # of places that are compared at once at most: some 100 MB
 # m: neighbours on the path are near each other anyhow, and a kart that spins comes back after 10 to 25. Rounds in a car
 # park have 40, and of a skid pad of 15 m radius 94; twice the lap is what is found where one is below
 SHORTEST = 30.0
-LONGEST_LAP = 30_000.0  # m
 BIN = 10.0  # m, of repeat distances; as wide as SAME_PLACE blurs them
 SLACK = 0.02  # relative spread of lap lengths: lines differ from lap to lap
 REPEATING = 0.3  # least share of the path that must repeat for a loop to be one
 COMPARABLE = 0.5  # of the distance after which most repeats: a shorter one that repeats as well is the lap
-LEAST_REPEAT = 40.0  # m of path that must repeat
 SURE_ROUNDS = 1.5  # times a lap's length repeats: a loop, however far the kart (or the car it lies in) went otherwise
 SURE_LENGTH = 300.0  # m of such a lap; what wanders about in the paddock has shorter ones
 
@@ -74,9 +71,9 @@ def _repeats(path: PlanPath, row: IntArray, shortest: float) -> tuple[IntArray, 
     for part in pieces(len(chosen), some):
         i, j = _within(position, chosen[part], SAME_PLACE)
         separation = driven[j] - driven[i]
-        good = (separation > shortest) & (separation < LONGEST_LAP)
+        good = (separation > shortest) & (separation < 30_000.0)  # m: the longest lap
         i, j = i[good], j[good]
-        good = np.sum(direction[i] * direction[j], axis=1) > SAME_DIRECTION
+        good = np.sum(direction[i] * direction[j], axis=1) > 0.7  # least cosine between the two directions of travel
         found.append((i[good], j[good]))
     return np.concatenate([i for i, _ in found]), np.concatenate([j for _, j in found])
 
@@ -106,7 +103,7 @@ def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
     for b in np.flatnonzero(hit.any(axis=0)):
         width = max(1, round(SLACK * b))
         covered[b] = np.count_nonzero(hit[:, max(0, b - width) : b + width + 1].any(axis=1)) * step
-        share[b] = covered[b] / max(possible[b], covered[b], LEAST_REPEAT)
+        share[b] = covered[b] / max(possible[b], covered[b], 40.0)  # m of path that must repeat
     length = BIN * (np.arange(bins) + 0.5)
     is_sure = (length >= SURE_LENGTH) & (covered >= SURE_ROUNDS * length)
     usable = np.where((share >= REPEATING) | is_sure, covered, 0.0)

@@ -16,7 +16,6 @@ from smoother.samples import Problem, Session
 from smoother.units import DEG
 
 FIRST_YEAR, LAST_YEAR = 2010.0, 2030.0  # the models that pygeomag carries
-LATEST_UNIX = 4.1e9  # s, the year 2099; a later date is a damaged one
 MODEL_SPAN = 5  # years
 NANOTESLA = 1e-9  # T
 WEAK_HORIZONTAL = 6000.0 * NANOTESLA  # NOAA's caution zone: a compass is no longer reliable below it
@@ -102,7 +101,7 @@ def session_date(session: Session) -> datetime.date | None:
     known = session.gnss.unix_s[np.isfinite(session.gnss.unix_s)]
     unix = float(np.median(known)) if known.size else session.unix_at_zero
     received = None
-    if unix is not None and 0.0 < unix < LATEST_UNIX:
+    if unix is not None and 0.0 < unix < 4.1e9:  # s, the year 2099; a later date is a damaged one
         received = datetime.datetime.fromtimestamp(unix, datetime.UTC).date()
     if received is not None and received.year >= FIRST_YEAR:
         return received

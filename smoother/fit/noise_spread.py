@@ -15,7 +15,6 @@ from smoother.arrays import Array
 
 # Sigma of the logarithm of a noise that is not identified: receivers and loggers of one kind differ by a factor of two.
 ANY_NOISE = 0.7
-BLOCKS = 24  # of time; their scatter is then accurate to a seventh
 FEWEST = 5  # residuals in each
 # Errors of the model, as sigmas of a logarithm. From 90 simulated karts with random parameters
 # (benchmarks/random_karts.py, draws 1600 to 1689); 120 others are in docs/accuracy.md.
@@ -104,7 +103,7 @@ def _spread(residuals: Residuals, redundancy_of: Callable[[float], float]) -> fl
 def _scatter_of_blocks(residuals: Residuals) -> float:
     """Sigma of squares over expected relative to it, by how blocks of time differ; 0 for too few of them."""
     squares, expected = residuals.squares, residuals.expected
-    blocks = min(BLOCKS, len(squares) // FEWEST)
+    blocks = min(24, len(squares) // FEWEST)  # of time; their scatter is then accurate to a seventh
     if blocks < 2:
         return 0.0
     first = np.arange(blocks) * len(squares) // blocks

@@ -19,7 +19,6 @@ JUDGES = 400  # points by which the many candidates are compared
 MAX_CHOSEN = 3000
 GOLDEN = 0.6180339887498949  # the additive sequence of this step fills [0, 1) most evenly
 CONCENTRATED, CONCENTRATIONS = 8, 3  # candidates that are improved, and how often
-VOXELS_PER_EXTENT = 40  # ten thousand on a sphere, so only points at rest share one
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +41,7 @@ def one_per_voxel(points: Array) -> Array:
     A logger that lay still for half of the recording must not outweigh the half in which it was turned.
     """
     low, high = np.percentile(points, [10.0, 90.0], axis=0)
-    size = max(float(np.max(high - low)), 1e-300) / VOXELS_PER_EXTENT
+    size = max(float(np.max(high - low)), 1e-300) / 40  # ten thousand on a sphere, so only points at rest share one
     cell = np.clip((points - low) / size, -500.0, 500.0).astype(np.int64) + 512
     key = (cell[:, 0] << 20) + (cell[:, 1] << 10) + cell[:, 2]
     _, first = np.unique(key, return_index=True)

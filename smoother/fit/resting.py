@@ -17,9 +17,7 @@ EDGE = 0.4  # s left out at either end: the hand is still there, or again
 BATCH = 0.5  # s; longer than the correlation of any low-pass filter in such sensors
 SHORTEST = 2.0  # s, of a position without its edges
 SAME_DIRECTION = np.radians(20.0)
-FEWEST_BATCHES = 4
 HARMONICS = 30  # of the error of rounding: those beyond are a fiftieth of it, where there is no noise at all
-MOST_SORTED = 20_000  # readings by which the size of a count is judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +92,14 @@ def _covariance_of_means(t: Array, values: Array, stretches: list[tuple[int, int
         centred = means - means.mean(axis=0)
         scatter += centred.T @ centred
         freedom += len(means) - 1
-    if freedom < FEWEST_BATCHES:
+    if freedom < 4:
         raise FitError("the logger lay still too briefly; let it lie for ten seconds in each position")
     return scatter / freedom * BATCH
 
 
 def rounding_step(values: Array) -> Array:
     """Size (D,) of a count in values (N, D): the least difference between different readings; 0 if all are alike."""
-    some = values[:: max(1, len(values) // MOST_SORTED)]
+    some = values[:: max(1, len(values) // 20_000)]  # readings by which the size of a count is judged
     levels = [np.unique(column) for column in some.T]
     return np.array([float(np.min(np.diff(level))) if len(level) > 1 else 0.0 for level in levels])
 

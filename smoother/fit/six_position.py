@@ -18,13 +18,11 @@ from smoother.fit.resting import RestingPosition, distinct_directions
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
 
-FEWEST_DIRECTIONS = 6
 PRIOR_OFFSET = 2.0  # m/s^2; ten times the worst data sheet
 PRIOR_SCALE = 0.1
 PRIOR_MISALIGNMENT = 0.02  # cross-axis sensitivity of consumer parts, MPU-9250 data sheet
 LARGEST_OFFSET_SIGMA = 0.1  # m/s^2; positions that leave more do not calibrate
 LARGEST_SCALE_SIGMA = 0.02
-OBSERVED = 0.5  # of the prior sigma; a misalignment less sure than this was not seen
 OUTLIER_CHANCE = 1e-4
 
 
@@ -74,7 +72,7 @@ def fit_accelerometer(positions: Sequence[RestingPosition]) -> AccelFit:
         raise FitError("some mean forces are not finite numbers; drop those readings first")
     noise = np.array([p.force_covariance for p in positions]).reshape(-1, 3, 3)
     directions = distinct_directions(force - _middle(force)) if len(force) else force
-    if len(directions) < FEWEST_DIRECTIONS:
+    if len(directions) < 6:
         raise FitError(
             f"{counted(len(directions), 'resting position')} in different directions: too few for the accelerometer; "
             "lay the logger on each of its six faces, and better also on edges, ten seconds each"
@@ -155,7 +153,7 @@ def _checked_fit(
         raise FitError("the resting positions are too much alike to separate offset and scale; use all six faces")
     matrix = _symmetric(parameters[3:])
     residual = np.linalg.norm((force - parameters[:3]) @ matrix, axis=1) - gravity
-    observed = sigma[3:] < OBSERVED * prior
+    observed = sigma[3:] < 0.5 * prior  # of the prior sigma; a misalignment less sure than this was not seen
     return AccelFit(parameters[:3], matrix, covariance, residual, used, scatter, observed)
 
 

@@ -68,7 +68,6 @@ MAX_POSITION_SPEED = 1.0  # m/s; limit where only positions are known and these 
 POSITION_WINDOW = 3.0  # s on each side, over which positions are averaged into a speed
 FEWEST_BLOCKS = 4
 TURNED_SIGMAS = 4.0  # of the mean rate of some blocks, by their scatter
-ENOUGH = 1 << 12  # samples, evenly taken, to know the usual value
 
 
 def session_standstill(session: Session, gyro_bias: Array | None = None) -> BoolArray:
@@ -222,7 +221,7 @@ class _Blocks:
         filled = np.maximum(count, 1.0)
         has = (count > 0.0).astype(np.float64)
         k = _windowed(has)
-        few = thinned(values, max(1, len(values) // ENOUGH))
+        few = thinned(values, max(1, len(values) // (1 << 12)))  # samples, evenly taken, to know the usual value
         usual = np.median(few, axis=0)  # keeps the sums of squares precise
         mean, inside = np.zeros((3, size)), np.zeros((3, size))
         for part in pieces(len(values)):  # a day of samples is a gigabyte

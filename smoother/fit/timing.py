@@ -13,16 +13,11 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.fit.ellipsoid import FitError
 from smoother.session.clock import find_gaps, regularize
 
-FEWEST_STAMPS = 32
 LEAST_OF_SPECTRUM = 256  # samples
-AT_THE_END = 0.995  # of the full scale
 RUN = 3  # equal readings at an axis' extreme that noise does not make, for a sensor whose range is not known
 LARGEST_DELAY = 0.25  # s, that is looked for between gyroscope and magnetometer
-FEWEST_TURNING = 200  # readings while turning, for a delay
-TURNING = 0.5  # rad/s
 SPACING = 0.06  # s between two readings that are compared: a change beyond noise and rounding, still a small turn
 UNEXPLAINED = 0.7  # of the squared change; axes that do not belong together leave more than all of it
-LARGEST_TURN = 0.3  # rad; beyond, the axes are not those of the gyroscope at all
 OUTLIER = 6.0  # times the median size
 
 
@@ -68,7 +63,7 @@ class Against:
 
 def sample_timing(t: Array) -> Timing:
     """Rate, jitter and gaps of stamps t (N,) s, strictly increasing. Raises FitError for fewer than 32."""
-    if len(t) < FEWEST_STAMPS:
+    if len(t) < 32:
         raise FitError(f"{len(t)} samples are too few to tell their rate")
     base = regularize(t)
     steps = np.diff(base.t)
@@ -112,7 +107,7 @@ def clipped_share(values: Array, full_scale: float | None = None) -> Array:
     Without the full scale (in the unit of the values), of the readings in runs that repeat the axis' own extreme.
     """
     if full_scale is not None:
-        return np.asarray(np.mean(np.abs(values) >= AT_THE_END * full_scale, axis=0))
+        return np.asarray(np.mean(np.abs(values) >= 0.995 * full_scale, axis=0))  # of the full scale
     if len(values) < RUN:
         return np.zeros(values.shape[1])
     at_end = (values == values.max(axis=0)) | (values == values.min(axis=0))
@@ -148,7 +143,7 @@ def magnetometer_against_gyro(t: Array, angular_rate: Array, field_t: Array, fie
     still = float(np.sum(changes.change[used] ** 2))
     if (
         abs(x[0]) > LARGEST_DELAY
-        or np.linalg.norm(x[1:]) > LARGEST_TURN
+        or np.linalg.norm(x[1:]) > 0.3  # rad; beyond, the axes are not those of the gyroscope at all
         or np.sum(residual[used] ** 2) > UNEXPLAINED * still
     ):
         raise FitError("the field does not turn as the gyroscope says; are both in the same axes?")
@@ -187,8 +182,8 @@ class _Changes:
         step = end - start
         inside = (start > t[0] + LARGEST_DELAY) & (end < t[-1] - LARGEST_DELAY) & (step < 1.5 * np.median(step))
         speed = np.linalg.norm(_between(start, end, t, turned), axis=1) / step
-        chosen = np.flatnonzero(inside & (speed > TURNING))
-        if len(chosen) < FEWEST_TURNING:
+        chosen = np.flatnonzero(inside & (speed > 0.5))  # rad/s
+        if len(chosen) < 200:  # readings while turning, for a delay
             raise FitError("the logger was hardly turned, so no delay between gyroscope and magnetometer can be seen")
         change, mean = field[stride:] - field[:-stride], 0.5 * (field[stride:] + field[:-stride])
         return _Changes(start[chosen], end[chosen], change[chosen], mean[chosen], chosen, stride, t, turned)

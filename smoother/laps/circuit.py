@@ -19,7 +19,6 @@ from smoother.laps.timing import gate_crossings
 from smoother.laps.wrong_direction import driven_against
 from smoother.samples import Problem
 
-MEANS = 2  # times that the line is moved to the mean of the laps; the second time by centimetres
 USUAL = 1.2  # of the quickest lap's time per metre: slower laps do not shape the reference line
 ODD = 6.0  # m from the median of the laps, beyond which one does not shape the line there
 
@@ -101,7 +100,7 @@ def _between_gates(path: PlanPath, start: Array, end: Array, shortest: float) ->
 def _mean(path: PlanPath, curve: Curve, blind: BoolArray) -> tuple[Curve, Followed]:
     """Move the line to the mean of the laps."""
     followed = follow(path, curve)
-    for _ in range(MEANS):
+    for _ in range(2):  # times that the line is moved to the mean of the laps; the second time by centimetres
         lateral, up = laps_on_line(path, curve, followed, blind)
         if len(lateral) < 2:
             break

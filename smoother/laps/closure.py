@@ -23,7 +23,6 @@ from smoother.estimate.output.resample import between_rows, bracket, hermite, he
 from smoother.fit.lap_registration import LapRegistration, register_laps
 from smoother.trajectory import JointPosition, Trajectory
 
-WITHIN = 6  # times of a lap that stand for all of it
 MOST = 480  # times of a session, as long as laps have two
 
 
@@ -87,7 +86,7 @@ def _plus(values: Array, level: Array) -> Array:
 def close_laps(joint: JointPosition, laps: LapRegistration) -> LapClosure:
     """Return what the translations of `laps` of a path show of its error, which has the covariance `joint`."""
     crossed = laps.crossing_time
-    within = min(WITHIN, max(2, MOST // len(crossed)))
+    within = min(6, max(2, MOST // len(crossed)))  # times of a lap that stand for all of it
     at = np.nanquantile(crossed, (np.arange(within) + 0.5) / within, axis=1).T.ravel()
     P = joint.covariance(np.tile(at, 2), np.repeat(np.eye(3)[:2], len(at), axis=0))
     n = len(crossed)

@@ -22,7 +22,6 @@ from smoother.units import DEG
 
 TIGHTEST_STRAIGHT = 1.0 / 70.0  # 1/m; a bend must be tighter than this somewhere
 BEND_ENDS = 1.0 / 160.0  # 1/m, or a third of the bend's own greatest curvature
-LEAST_TURN = 20.0 * DEG  # rad
 JOINED = 8.0  # m; two bends to the same side closer than this are one corner
 MOST_LAPS = 60  # whose losses enter the covariance; more change nothing
 OF_MEDIAN = 0.5 * np.pi  # variance of a median of normal values over that of their mean, of three or more
@@ -56,7 +55,7 @@ def _bends_to(curvature: Array, side: float, spacing: float, curve: Curve) -> li
         tight = np.flatnonzero(inside > max(BEND_ENDS, peak / 3.0))
         first, last = a + tight[0], a + tight[-1]
         turn = float(curvature[first : last + 1].sum() * spacing)
-        if peak < TIGHTEST_STRAIGHT or turn < LEAST_TURN:
+        if peak < TIGHTEST_STRAIGHT or turn < 20.0 * DEG:  # rad
             continue
         apex = float(np.average(np.arange(a, b), weights=np.where(inside > 0.9 * peak, inside, 0.0)))
         d = curve.line.distance

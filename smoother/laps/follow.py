@@ -19,10 +19,8 @@ LOST_BEYOND = 15.0  # m from the line: half a track's width, the wander of the G
 FOUND_WITHIN = 12.0  # m
 AHEAD = (10.0, 20.0, 35.0)  # m of path that must also be on the line before the kart counts as found
 BACK, ON = 6.0, 10.0  # m that are searched behind and, beyond the driven distance, ahead
-ROWS_TOGETHER = 1 << 16  # of the path that are projected onto the line together
 SAME_DIRECTION = 0.4  # least cosine between path and line where the kart moves
 MOVING = 2.0  # m/s
-TURNED_FOR = 1.0  # s against the direction of the line, after which the kart is not on a lap
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +88,7 @@ class _Pursuit:
                 here, is_along = self._next(row, last, driven[k] - on_the_way)
                 if here is not None and speed[k] >= MOVING:
                     turned = 0.0 if is_along else turned + t[k] - t[k - 1]
-                if turned > TURNED_FOR:
+                if turned > 1.0:  # s against the direction of the line, after which the kart is not on a lap
                     here = None
             if here is None:
                 turned = 0.0
@@ -174,7 +172,7 @@ def _refined(path: PlanPath, curve: Curve, t: Array, coarse: Array) -> Followed:
         return Followed(np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.bool_))
     t_on, coarse_on = (t, coarse) if on.all() else (t[on], coarse[on])
     distance, lateral, is_on = np.empty(n), np.full(n, np.nan), np.empty(n, dtype=np.bool_)
-    for part in pieces(n, ROWS_TOGETHER):
+    for part in pieces(n, 1 << 16):  # of the path that are projected onto the line together
         here = _between_times(path.t[part], t, on) > 0.999
         guess = _between_times(path.t[part], t_on, coarse_on)
         place, beside = guess.copy(), np.full(len(guess), np.nan)

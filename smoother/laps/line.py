@@ -18,9 +18,7 @@ HALF_WIDTH = 8.0  # m, of a line that was found: a wide kart track and the sprea
 BETWEEN = 0.45  # of the distance to another part of the track, which the line must not reach
 ELSEWHERE, ELSEWHERE_OF_SMALL = 40.0, 0.4  # m along the track, of the length of small ones: the other side of the round
 STRAIGHT = 1.0 / 120.0  # 1/m, largest curvature of a straight for a line
-STRAIGHT_FOR = 10.0  # m before and after the line
 FAST = 0.9  # of the best point's speed: all such points are equally good, and the one with more laps is chosen
-LEAST_OBLIQUE = 0.5  # least sine between line and track: 30 deg
 
 
 def meeting_places(curve: Curve, ends: Array) -> Array:
@@ -38,7 +36,7 @@ def meeting_places(curve: Curve, ends: Array) -> Array:
     where = np.abs(place + share * (later_place - place))
     meets &= where < 0.5 * width + BESIDE
     k = np.flatnonzero(meets)
-    oblique = np.abs(curve.line.tangent_n[k] @ normal) < LEAST_OBLIQUE
+    oblique = np.abs(curve.line.tangent_n[k] @ normal) < 0.5  # least sine between line and track: 30 deg
     k = k[~oblique]
     spacing = curve.length / len(points) if curve.line.is_closed else float(np.median(np.diff(curve.line.distance)))
     return np.asarray(curve.line.distance[k] + share[k] * spacing)[np.argsort(where[k], kind="stable")]
@@ -74,7 +72,7 @@ def best_place(curve: Curve, speed: Array, laps_at: Array) -> float:
     An error of position along the track becomes one of time divided by the speed.
     """
     is_closed = curve.line.is_closed
-    window = 2 * max(1, round(STRAIGHT_FOR * len(speed) / curve.length)) + 1
+    window = 2 * max(1, round(10.0 * len(speed) / curve.length)) + 1  # m before and after the line
     straight = running_maximum(np.abs(curve.line.curvature), window, is_closed=is_closed)
     steady = -running_maximum(-speed, window, is_closed=is_closed)
     worth = np.where(straight < STRAIGHT, 1.0, STRAIGHT / np.maximum(straight, STRAIGHT)) * steady

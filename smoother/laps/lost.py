@@ -16,7 +16,6 @@ from smoother.arrays import Array
 from smoother.laps.results import Corner, LapAnalysis
 
 MOST, FEW = 5, 3  # that are shown: real ones, uncertain ones; the table has all
-CLEARLY = 2.0  # sigmas
 
 Kind = Literal["braking", "entry", "minimum", "exit"]
 
@@ -80,4 +79,4 @@ def _differences(corner: Corner, lap: int, laps: LapAnalysis) -> tuple[Differenc
         by("minimum", corner.min_speed, corner.min_speed_sigma),
         by("exit", corner.exit_speed, corner.exit_speed_sigma),
     )
-    return tuple(each for each in all_of_them if each.by > CLEARLY * each.sigma)
+    return tuple(each for each in all_of_them if each.by > 2.0 * each.sigma)  # sigmas

@@ -12,7 +12,6 @@ from smoother.words import UNREADABLE
 NAMES = ("lap_time_s", "lap_time", "laptime", "time", "time_s")
 LONGEST = 3600.0  # s; a larger value is no lap time
 ODD_SHARE = 0.05  # of undecodable characters; more are a file of another kind
-MOST = 10_000  # laps; the cost of matching grows with the square
 LONGEST_ROW = 4096  # characters; a longer one is damaged
 
 
@@ -27,7 +26,7 @@ def load_official(path: Path) -> tuple[float, ...]:
     rows = [row for line in lines if (row := _row(line, delimiter)) and not row[0].startswith("#")]
     times = (parse_time(cell) for cell in _cells(rows))
     found = tuple(time for time in times if time is not None)
-    if len(found) > MOST:
+    if len(found) > 10_000:  # laps; the cost of matching grows with the square
         raise SessionError(f"{path}: {len(found)} lap times, more than anybody drives; is it of another kind?")
     if not found:
         raise SessionError(f"{path}: no lap times; wanted a column lap_time_s in seconds or m:ss.mmm")

@@ -19,7 +19,6 @@ from smoother.samples import Problem
 
 LENGTH = (3.0, 120.0)  # m, of anything that may be a line across a track
 LEAST_SINE = 0.7  # of the angle between line and path, usually: 45 deg; laps cut a line that lies along them at 10
-PASSED = 2  # times at least, in one direction
 
 Ends = tuple[tuple[float, float], tuple[float, float]]  # two points (lat, lon), degrees
 
@@ -64,7 +63,7 @@ def _is_passed(ends: Array, path: PlanPath) -> bool:
     for forward in both_ways(ends):
         line = oriented("", ends, forward, "")
         t = gate_crossings(path, line, 0.0)
-        if len(t) < PASSED:
+        if len(t) < 2:  # times at least, in one direction
             continue
         velocity = path.at(t)[1]
         sine = velocity @ forward_normal(line) / np.maximum(np.linalg.norm(velocity, axis=1), 1e-6)

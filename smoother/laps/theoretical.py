@@ -20,7 +20,6 @@ from smoother.laps.timing import forward_normal
 from smoother.trajectory import JointPosition
 
 MOST_CANDIDATES = 12  # laps that may contain a best sector; slower ones only contribute to the spread
-USUAL_SPREAD = 0.01  # of a sector's time: scale of the half-Cauchy prior of the spread
 LEAST_SPREAD, MOST_SPREAD = 0.03, 30.0  # times that: range of the spread
 SPREADS, SAMPLES = (
     24,
@@ -133,7 +132,7 @@ def slowed(sector_time: Array, noise: Array) -> BoolArray:
 def spreads(seen: Array, noise: float) -> Array:
     """Values (SPREADS,) s, quantiles of the posterior of the spread of true times given the `seen` (K,) s, whose
     errors have the variance `noise` s^2."""
-    scale = USUAL_SPREAD * float(seen.mean())
+    scale = 0.01 * float(seen.mean())  # of a sector's time: scale of the half-Cauchy prior of the spread
     spread = scale * np.geomspace(LEAST_SPREAD, MOST_SPREAD, GRID)
     total = spread**2 + noise
     squares = float(np.sum((seen - seen.mean()) ** 2))

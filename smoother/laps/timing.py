@@ -9,13 +9,11 @@ from smoother.fit.plan_path import PlanPath
 from smoother.laps.follow import Followed
 from smoother.laps.results import FixPath, Line
 
-ROUNDS = 6  # of Newton's method; from a bracket of one row two suffice
 LONGEST_STEP = 2.5  # s between raw fixes that are connected
 BESIDE = 6.0  # m beyond the ends of a gate at which a passage counts without a known sigma: three of a GPS
 USUAL_WAY = 11.0  # m from the reference line: width of a track and wander of the GPS
 SAME_PLACE = 30.0  # m of track distance from that of the line: a line may be oblique, and laps may pass it wide
 APART = 0.4  # of a lap, least distance between two passages
-RAW_BESIDE = 20.0  # m, tolerance of raw fixes near a known passage
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +123,7 @@ def _root(path: PlanPath, line: Line, row: np.ndarray) -> Array:
     t0, t1 = path.t[row], path.t[row + 1]
     a, b = past(line, path.position_n[row]), past(line, path.position_n[row + 1])
     t = t0 + (t1 - t0) * a / np.where(a == b, -1.0, a - b)
-    for _ in range(ROUNDS):
+    for _ in range(6):  # of Newton's method; from a bracket of one row two suffice
         position, velocity = path.at(t)
         speed = velocity @ normal
         speed = np.where(np.abs(speed) > 1e-3, speed, 1e-3)
@@ -157,7 +155,7 @@ def raw_crossings(fixes: FixPath, line: Line, near: Array, within: float = 1.5) 
     half = 0.5 * float(np.linalg.norm(line.left_n - line.right_n))
     share = ((t - fixes.t[row]) / np.diff(fixes.t)[row])[:, None]
     place = fixes.position_n[row] * (1.0 - share) + fixes.position_n[row + 1] * share
-    t = t[np.abs(across(line, place)) * half <= half + RAW_BESIDE]
+    t = t[np.abs(across(line, place)) * half <= half + 20.0]  # m, tolerance of raw fixes near a known passage
     if t.size == 0:
         return np.full(len(near), np.nan)
     nearest = t[np.argmin(np.abs(t[None, :] - np.asarray(near)[:, None]), axis=1)]

@@ -15,7 +15,6 @@ from smoother.laps.results import LapAnalysis
 from smoother.trajectory import Trajectory
 
 SMOOTHED_OVER = 0.6  # s; a longer window flattens the peak before braking
-SEPARATION = 10.0  # s with one peak: there is hardly more than one straight in it
 EQUAL_SIGMAS = 3.0  # below the reference peak, within which a peak may be as high
 SPREADS = 64  # values of the spread between peaks
 RELIABLE_SHARE = 0.1  # of a speed: a larger sigma, also larger than most, is an error of the fixes
@@ -117,7 +116,7 @@ def _peaks(speed: Array, t: Array) -> IntArray:
     """Rows of the highest speed of every APART s that is a local maximum; -inf is none."""
     beside = np.concatenate([[-np.inf], speed, [-np.inf]])
     is_peak = (speed >= beside[:-2]) & (speed >= beside[2:]) & np.isfinite(speed)
-    block = ((t - t[0]) // SEPARATION).astype(np.int64)
+    block = ((t - t[0]) // 10.0).astype(np.int64)  # s with one peak: there is hardly more than one straight in it
     starts = np.flatnonzero(np.diff(block, prepend=-1))
     ends = np.append(starts[1:], len(t))
     highest = np.array([a + int(np.argmax(speed[a:b])) for a, b in zip(starts, ends, strict=True)])

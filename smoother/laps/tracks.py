@@ -29,7 +29,6 @@ from smoother.units import FOOT
 
 ENDINGS = (".json", ".geojson")
 ALIKE = 0.75  # of difflib, 1 for equal: one or two wrong letters
-LONGEST_LINE = 500.0  # m; a longer line has swapped coordinates or a wrong point
 _NUMBER = re.compile(r"\d{1,9}")
 
 
@@ -234,6 +233,6 @@ def _line(a: Any, b: Any, what: str) -> Array:
         raise ConfigError(f"{what}: latitude or longitude is out of range")
     origin = Origin(float(ends[0, 0]), float(ends[0, 1]), 0.0)
     width = float(np.linalg.norm(geodetic_to_nwu(ends[1:, 0], ends[1:, 1], np.zeros(1), origin)[0, :2]))
-    if not 0.5 < width < LONGEST_LINE:
+    if not 0.5 < width < 500.0:  # m; a longer line has swapped coordinates or a wrong point
         raise ConfigError(f"{what}: the line is {width:.1f} m long; wanted its two ends, beside the track")
     return ends

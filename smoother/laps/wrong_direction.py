@@ -16,7 +16,6 @@ from smoother.samples import Problem
 
 SPACING = 4.0  # m of driven distance between the tested points
 TOGETHER = 2048  # points at once: with a long track some 100 MB
-LONGEST_BREAK = 30.0  # s at rest or off the line within one stretch
 LEAST_DRIVEN, LEAST_COVERED = 0.95, 0.8  # of a lap; less is the way to the pits, or a road beside the track
 MOST_REPORTED = 3  # stretches
 ROUND = 0.05  # of the area of a circle of that length; a line around less, as a figure eight, has no direction
@@ -29,7 +28,7 @@ def driven_against(path: PlanPath, curve: Curve, followed: Followed) -> Iterator
     places = _places_off(path, followed)
     nearest, is_against = _beside(path, curve, places)
     places, nearest = places[is_against], nearest[is_against]
-    cuts = np.flatnonzero(np.diff(path.t[places]) > LONGEST_BREAK) + 1
+    cuts = np.flatnonzero(np.diff(path.t[places]) > 30.0) + 1  # s at rest or off the line within one stretch
     found = [
         (float(path.t[rows[0]]), float(path.t[rows[-1]]), laps)
         for rows, points in zip(np.split(places, cuts), np.split(nearest, cuts), strict=True)

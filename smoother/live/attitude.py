@@ -8,8 +8,6 @@ from smoother.estimate.baseline.baseline import UNITY
 from smoother.estimate.baseline.madgwick import BETA, ZETA, run_madgwick
 from smoother.samples import ImuSamples, MagSamples
 
-START_AFTER = 0.25  # s of samples whose mean force is the initial up
-LONGEST_STEP = 0.5  # s; over a longer gap the rotation is unknown
 FASTEST = 250.0  # Hz; faster samples are averaged, at a loss of accuracy far below that of the filter
 
 
@@ -45,7 +43,7 @@ class MadgwickTracker:
         self._t = float(imu.t[-1])
         field = None if self._field is None else np.tile(self._R_0s @ self._field, (len(step), 1))
         q, bias = run_madgwick(
-            np.minimum(step, LONGEST_STEP),
+            np.minimum(step, 0.5),  # s; over a longer gap the rotation is unknown
             force @ self._R_0s.T,
             rate @ self._R_0s.T - self._bias,
             field,
@@ -57,7 +55,7 @@ class MadgwickTracker:
 
     def _begin(self, imu: ImuSamples) -> None:
         self._first.append(imu)
-        if imu.t[-1] - self._first[0].t[0] < START_AFTER:
+        if imu.t[-1] - self._first[0].t[0] < 0.25:  # s of samples whose mean force is the initial up
             return
         up = np.mean(np.concatenate([part.specific_force_s for part in self._first]), axis=0)
         length = np.linalg.norm(up)

@@ -26,9 +26,6 @@ from smoother.live.lag_graph import Marginal, rolling
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 
 T_co = TypeVar("T_co", covariant=True)
-OUTPUT_RATE = 5.0  # Hz; the rows are not used
-SHORTEST_LAP = 100.0  # m, as for recorded laps
-FEWEST = 10  # keyframes of a usable result
 MOVED = 5.0  # m/s; slower fixes hardly show the mounting
 
 
@@ -47,7 +44,7 @@ def identify(window: Window) -> LagStart | str:
     A latency of the accelerometer is not corrected in the stream.
     """
     session, kept = Session("live", window.fixes, window.origin, window.imu), list[Solved]()
-    options = replace(GraphOptions(), rate=OUTPUT_RATE, in_step=False)
+    options = replace(GraphOptions(), rate=5.0, in_step=False)  # Hz; the rows are not used
     try:
         report = GraphSmoother(options, keep=kept.append).estimate(session).report
     except (SmootherError, ValueError, np.linalg.LinAlgError) as error:
@@ -60,7 +57,7 @@ def identify(window: Window) -> LagStart | str:
     priors = held_at(problem_of(start), state, FREE).priors if with_wheels else start.priors
     graph = build_graph(start.binned, measured, noise, priors, state, start.table, rectified=False)
     leave = int(np.searchsorted(state.t, window.imu.t[-1] - LAG)) - 1
-    if leave < FEWEST:
+    if leave < 10:  # keyframes of a usable result
         return "the window is too short"
     try:
         known = Marginal.of(step(graph, state.values()), graph.prior, leave)
@@ -82,7 +79,7 @@ def find_line(t: Array, position_n: Array, velocity_n: Array, given: GivenLines 
     """Return the start line of the laps, None without a loop. t (N,) s; position_n, velocity_n (N, 3)."""
     path = PlanPath(t, position_n[:, :2], velocity_n[:, :2], position_n[:, 2])
     try:
-        circuit = find_circuit(path, given, None, SHORTEST_LAP, np.zeros(len(t), dtype=np.bool_))
+        circuit = find_circuit(path, given, None, 100.0, np.zeros(len(t), dtype=np.bool_))  # m, as for recorded laps
     except (SmootherError, ValueError, IndexError):
         return None
     return None if isinstance(circuit, Problem) else circuit.start_line

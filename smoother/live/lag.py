@@ -37,9 +37,7 @@ LAG = 4.0  # s; older keyframes are marginalised
 CONTEXT = 10.0  # s of earlier keyframes, used by the low-pass of the motion
 LONGEST_STEP = 1.0  # s without a fix, after which keyframes are added
 BIN = 0.04  # s, of the inertial samples between keyframes
-SHORTEST = 0.01  # s from the newest keyframe to now
 SAMPLES_KEPT = 2.0  # s before the newest keyframe, from which the rate of the samples is computed
-FIXES_KEPT = 1.0  # s before the window; at least the newest fix is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,7 @@ class FixedLag:
     def _advance(self) -> None:
         """Add keyframes and solve, after samples reached a keyframe with a new fix before it, or after LONGEST_STEP."""
         self._now = None
-        steps = int((self._newest - SHORTEST - self.t) / self._interval)
+        steps = int((self._newest - 0.01 - self.t) / self._interval)  # s from the newest keyframe to now
         end = self.t + steps * self._interval
         new = self._fixes.t[(self._fixes.t > self._solved) & (self._fixes.t - min(self.latencies) <= end)]
         if (steps and len(new)) or steps * self._interval >= LONGEST_STEP:
@@ -247,7 +245,7 @@ class FixedLag:
             fixes,
             position_n=np.where(by_position, np.nan, fixes.position_n),
             velocity_n=np.where(by_velocity, np.nan, fixes.velocity_n),
-        ).of(fixes.t >= min(at.t[leave] - FIXES_KEPT, fixes.t[-1]))
+        ).of(fixes.t >= min(at.t[leave] - 1.0, fixes.t[-1]))  # s before the window; at least the newest fix is kept
         before = joined_states(self._before, self._state.part(slice(0, leave)))
         self._before = before.part(slice(-round(CONTEXT / self._interval), None))
         self._state, self._preintegrated = self._state.part(slice(leave, None)), self._preintegrated[leave:]

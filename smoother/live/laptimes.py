@@ -13,8 +13,6 @@ from smoother.fit.plan_path import PlanPath
 from smoother.laps.results import Line
 from smoother.laps.timing import BESIDE, gate_crossings
 
-KEPT = 600.0  # s of path, enough for three laps of a long circuit
-STEP = 0.1  # s between rows
 ASTRAY = 5.0  # m from its prediction by velocity, beyond which a fix has jumped
 STAYED = 3.0  # s after which jumped fixes are confirmed; reflections last a second or two
 
@@ -69,10 +67,10 @@ class LapClock:
 
     def add(self, t: float, position_n: Array, velocity_n: Array) -> None:
         """Add a row: t s, position_n, velocity_n (3,) of the antenna."""
-        if self._rows and t - self._rows[-1][0] < STEP:
+        if self._rows and t - self._rows[-1][0] < 0.1:  # s between rows
             return
         self._rows.append((t, position_n, velocity_n))
-        if self._rows[0][0] < t - KEPT:
+        if self._rows[0][0] < t - 600.0:  # s of path, enough for three laps of a long circuit
             del self._rows[: len(self._rows) // 10]
         if self._line is not None and len(self._rows) > 1:
             self._cross(self._path(2))

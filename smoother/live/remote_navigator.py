@@ -14,8 +14,6 @@ from smoother.samples import ImuSamples
 MOST_WAITING = 60.0  # s of waiting samples; older ones are dropped, and counted
 BEHIND = 5.0  # s of waiting samples, above which a source that can wait has to
 AT_ONCE = 100  # items passed together: four seconds of the usual stream, which fit into the pipe
-ASK_AGAIN = 0.1  # s between questions without new data
-IDLE = 0.02  # s between polls of a worker that has not answered
 START_AGAIN = 5.0  # s after a process died
 
 
@@ -82,7 +80,7 @@ class RemoteNavigator:
         pipe = self._child.connection
         if self._asked_at is not None and pipe.poll():
             self._navigation, self._asked_at, self._answered_at = pipe.recv(), None, now
-        is_due = self._waiting or self._is_new or now - self._answered_at > ASK_AGAIN
+        is_due = self._waiting or self._is_new or now - self._answered_at > 0.1  # s between questions without new data
         if self._asked_at is None and is_due:
             items = [self._waiting.popleft() for _ in range(min(AT_ONCE, len(self._waiting)))]
             pipe.send((items, self._arrival, self._is_new, self._flaw))
@@ -122,7 +120,7 @@ def serve(connection: Connection, tracks: tuple[TrackFile, ...]) -> None:
                 navigator.work()
             except Exception as error:
                 navigator = Navigator(worker, tracks, flaw=_flaw_of(error))
-            if not connection.poll(IDLE):
+            if not connection.poll(0.02):  # s between polls of a worker that has not answered
                 continue
             items, arrival, is_new, flaw = connection.recv()
             if is_new:

@@ -11,12 +11,10 @@ from smoother.live.frame import Frame
 from smoother.live.receiver import LinkStatus
 from smoother.units import DEG, KMH
 
-FEW_SATELLITES = 5
 HINTS = {
     "no such port": "is it plugged in, and is the name right? `ls /dev/tty*` shows what is there",
     "permission denied": "who may use it? `ls -l` shows its group, mostly dialout; `id` shows yours",
 }
-LARGE_SIGMA = 30.0  # deg, of an attitude before the mounting is identified
 
 
 def angles(R: np.ndarray | None) -> tuple[str, str, str]:
@@ -39,7 +37,7 @@ def gps(s: Snapshot) -> str:
 
 def is_gps_good(s: Snapshot) -> bool:
     """Whether there is a fix from enough satellites."""
-    return s.fix_age <= SILENT and s.reception.fix > 0 and not 0 <= s.reception.satellites < FEW_SATELLITES
+    return s.fix_age <= SILENT and s.reception.fix > 0 and not 0 <= s.reception.satellites < 5
 
 
 def speed(s: Snapshot) -> str:
@@ -132,6 +130,6 @@ def smoother(s: Snapshot) -> str:
     if s.lag is None:
         return s.stage
     worst = float(np.max(s.lag.attitude_sigma)) / DEG
-    if worst > LARGE_SIGMA:
+    if worst > 30.0:  # deg, of an attitude before the mounting is identified
         return "smoothing, the mounting is not accurate yet"
     return f"smoothing, attitude ±{worst:.1f}°, speed ±{float(np.max(s.lag.velocity_sigma[:2])) / KMH:.1f} km/h"

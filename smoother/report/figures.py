@@ -39,7 +39,6 @@ WIDEST_BAND = 15.0  # deg, one sigma; beyond it a band of attitudes does not wid
 CELLS = 75  # along each side of the g-g diagram
 MOSTLY = 0.25  # of the rows of an angle that are beside a jump across the half turn
 DOTS = 10  # for each point of a line, where an angle turns too fast for one
-MANY_FIXES = 5000  # beyond it their dots are drawn smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -436,7 +435,7 @@ def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = Non
     here = slice(*np.searchsorted(fixes.t, window))
     raw = np.hypot(fixes.velocity_n[here, 0], fixes.velocity_n[here, 1])
     if np.isfinite(raw).any():  # else the legend would name an empty line
-        size = 2.5 if len(raw) < MANY_FIXES else 1.0
+        size = 2.5 if len(raw) < 5000 else 1.0  # beyond it their dots are drawn smaller
         axes.plot(fixes.t[here] - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
     if shown.baseline is not None:
         _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--", part=part)

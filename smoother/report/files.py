@@ -26,7 +26,6 @@ from smoother.trajectory import FixResiduals, Sigmas, Trajectory
 from smoother.units import DEG
 from smoother.utc_clock import UtcClock
 
-TIME_DIGITS = 6
 ANGLE_DIGITS = 9  # of latitude and longitude: 0.1 mm on the ground
 DIGITS = 4
 TOGETHER = 1 << 18  # rows that are written together, 90 MB of text
@@ -141,7 +140,7 @@ def _table(t: Array, clock: UtcClock | None, lat_deg: Array, lon_deg: Array, col
     rounded = {name: _rounded(value, DIGITS) for name, value in columns.items()}
     return pl.DataFrame(
         {
-            "t_s": _rounded(t, TIME_DIGITS),
+            "t_s": _rounded(t, 6),
             "utc": _utc(t, clock),
             "lat_deg": _rounded(lat_deg, ANGLE_DIGITS),
             "lon_deg": _rounded(lon_deg, ANGLE_DIGITS),

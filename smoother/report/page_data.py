@@ -23,10 +23,8 @@ from smoother.trajectory import Trajectory
 from smoother.units import DEG, STANDARD_GRAVITY
 
 MOST_RATE = 20.0  # Hz of any trace
-SLOW_RATE = 2.0  # Hz of what changes slowly: sigmas
 FIX_RATE = 4.0  # Hz of what is shown of fixes, the worst of each bin
 WITHOUT_LAPS = 60.0  # s around the top speed, compared with the baseline where there is no lap
-CLOUD = 4000  # points of the g-g diagram
 MOST_DRAWN = 300  # laps, five hours of them; a page with a day's would take a browser minutes to open
 MOST_ROWS = 150_000  # of the whole session where it has no laps, four hours at their usual rate
 MOST_SLOW = 60_000  # of what is drawn of quality over time, likewise
@@ -317,7 +315,7 @@ def cloud(smoothed: Trajectory) -> Document:
     """Return accelerations in g where the speed is reliable, and the radius that contains nearly all."""
     reliable = reliable_rows(smoothed.speed, speed_sigma(smoothed))
     moving = np.flatnonzero((smoothed.speed > 2.0) & reliable)
-    rows = moving[:: max(1, -(-len(moving) // CLOUD))]
+    rows = moving[:: max(1, -(-len(moving) // 4000))]  # points of the g-g diagram
     g = level_acceleration(smoothed)[rows] / STANDARD_GRAVITY
     size = np.hypot(g[:, 0], g[:, 1])
     size = size[np.isfinite(size)]
@@ -367,7 +365,7 @@ def _filled(values: Array) -> Array:
 def _quality(numbers: Numbers) -> Document:
     smoothed, gnss = numbers.smoothed, numbers.session.gnss
     start, sigmas, fixes = smoothed.t[0], smoothed.sigmas, smoothed.report.fixes
-    rows = _thin_rows(smoothed.t, SLOW_RATE, MOST_SLOW)
+    rows = _thin_rows(smoothed.t, 2.0, MOST_SLOW)  # Hz of what changes slowly: sigmas
     out: Document = {"t": packed(smoothed.t[rows] - start)}
     if sigmas is not None:
         out["sigma"] = packed(np.hypot(sigmas.position_n[rows, 0], sigmas.position_n[rows, 1]))

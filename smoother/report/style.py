@@ -55,7 +55,6 @@ DOTS_PER_INCH = 110
 COMPRESSION = 2  # of PNG; 6 costs twice the time for a tenth of the size
 _TICK_STEPS = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)  # s
 SHADES = 48  # of a coloured line; more are not distinguishable
-MOST_TICKS = 6  # along an axis
 _DECADES = range(-8, 6)
 GRID: Any = {"colors": "#dddddd", "linewidths": 0.6, "zorder": 0.5}
 SETTLED: Any = STYLE | {"axes.grid": False}  # where :func:`save` draws the grid
@@ -144,7 +143,7 @@ def _settle(axes: Axes) -> None:
     axes.apply_aspect()
     for axis, is_x in ((axes.xaxis, True), (axes.yaxis, False)):
         if isinstance(axis.get_major_locator(), AutoLocator):
-            axis.set_major_locator(MaxNLocator(MOST_TICKS, steps=[1, 2, 2.5, 5, 10]))
+            axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))  # along an axis
         low, high = sorted(axis.get_view_interval())
         ticks = np.array([tick for tick in axis.get_majorticklocs() if low <= tick <= high])
         labels = axis.get_major_formatter().format_ticks(list(ticks))

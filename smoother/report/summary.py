@@ -17,7 +17,6 @@ from smoother.units import DEG
 
 Document = dict[str, object]
 
-SIGNIFICANT_SIGMAS = 2.0  # sigma
 NEAR_FIX = 30.0  # s, within which a row counts in what is typical; a longer outage than a minute does not
 # reported only if identified; most loggers have none
 ONLY_IF_IDENTIFIED = (
@@ -80,9 +79,7 @@ def smoothing_time(found: Identified) -> tuple[float, float] | None:
     found: `gps_velocity_response`, half the square of that time.
     """
     if not (
-        isinstance(found.value, float)
-        and isinstance(found.sigma, float)
-        and found.value > SIGNIFICANT_SIGMAS * found.sigma
+        isinstance(found.value, float) and isinstance(found.sigma, float) and found.value > 2.0 * found.sigma  # sigma
     ):
         return None
     time = float(np.sqrt(2.0 * found.value))

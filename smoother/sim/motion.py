@@ -22,7 +22,6 @@ _PLAN_STEP = 1.0  # m between nodes of the speed plan
 MARGIN = 5.0  # s of truth before the first and after the last sample, for latencies and filters
 _LAUNCH_MARGIN = 1.0  # s; smoothing and slip lead stir the kart up to 0.9 s before the plan moves it
 _SPEED_SMOOTHING = 0.12  # s; foot and hand are not faster (jerk below about 60 m/s^3)
-_ATTITUDE_SMOOTHING = 0.06  # s
 
 
 @dataclass(frozen=True)
@@ -259,7 +258,7 @@ def _heading(track: Track, offset: BSpline, distance: Array) -> Array:
 
 
 def _smooth(values: Array) -> Array:
-    return np.asarray(gaussian_filter1d(values, _ATTITUDE_SMOOTHING / _STEP, mode="nearest"))
+    return np.asarray(gaussian_filter1d(values, 0.06 / _STEP, mode="nearest"))  # s: smoothing of attitudes
 
 
 def _earlier(values: Array, lead: float) -> Array:

@@ -37,9 +37,7 @@ SENTENCES = ("RMC", "GGA", "GST")
 ACCEL_RANGES, GYRO_RANGES = (2, 4, 8, 16), (250, 500, 1000, 2000)  # g, deg/s
 FASTEST_IMU = 1000.0  # Hz
 _BAUD, _FAST_BAUD, _SLOW_RATE = 57600, 115200, 10.0  # above this rate of fixes the three sentences need the faster line
-_CALIBRATION_RATE = 100.0  # Hz, of the AK8963
 _GPS_EPOCH, _LEAP_SECONDS = 315_964_800.0, 18.0  # s: 6 January 1980, and by how much GPS time is ahead of UTC
-_LONGEST_EARLY = 1.0  # s; stamps this much before power-on are jitter
 
 
 def write_klg(simulation: Simulation, directory: Path) -> None:
@@ -83,7 +81,7 @@ def drive_records(simulation: Simulation) -> LogRecords:
 
 def calibration_records(field: Array) -> LogRecords:
     """Return the recording of a calibration of the magnetometer: field (K, 3) uT, axes s."""
-    times = np.arange(1, len(field) + 1) * round(TICKS_PER_SECOND / _CALIBRATION_RATE)
+    times = np.arange(1, len(field) + 1) * round(TICKS_PER_SECOND / 100.0)  # Hz, of the AK8963
     setup = Setup(PURPOSE_MAG_CALIBRATION, boot_number=1)
     stop = Stop(int(times[-1]), STOP_CALIBRATED, 0, 0, 0, 1, 0)
     flags = np.zeros(len(field), dtype=np.uint8)
@@ -141,7 +139,7 @@ def _config(setup: Setup) -> str:
 
 def _ticks(t: Array) -> IntArray:
     """Times (N,) us, in order and no two the same; jitter before power-on is moved to it. Raises UsageError."""
-    if t.size and t[0] < -_LONGEST_EARLY:
+    if t.size and t[0] < -1.0:  # s; stamps this much before power-on are jitter
         raise UsageError(f"the logger's clock starts at 0, not at {t[0]:.1f} s; leave imu.clock_offset above 0")
     index = np.arange(len(t))
     ticks = np.clip(np.round(t * TICKS_PER_SECOND), 0, None).astype(np.int64)

@@ -21,8 +21,6 @@ from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, MagErrors, Wh
 from smoother.sim.truth import Truth
 from smoother.units import KNOT
 
-_LONGEST_PIECE = 0.005  # s; two Gauss points on it average motion of up to 25 Hz to 1e-4 of itself
-_CHUNK = 50_000  # quadrature points evaluated at once: bounds the memory of sessions of hours
 TICKS_PER_SECOND = 1e6  # of the logger's clock
 _SATELLITES, _HDOP = 10, 0.9
 
@@ -105,12 +103,12 @@ def mean_motion(truth: Truth, end: Array, interval: float, wheel: Wheel | None =
 
     On a wheel, in axes that are b where its angle is 0.
     """
-    pieces = int(np.ceil(interval / _LONGEST_PIECE))
+    pieces = int(np.ceil(interval / 0.005))  # s; two Gauss points on it average motion of up to 25 Hz to 1e-4 of itself
     half = 0.5 * interval / pieces
     middles = -interval + half * (2.0 * np.arange(pieces) + 1.0)
     nodes = (middles[:, None] + half * np.array([-1.0, 1.0]) / np.sqrt(3.0)).ravel()  # two-point Gauss-Legendre
     force, rate = np.empty((len(end), 3)), np.empty((len(end), 3))
-    rows = max(1, _CHUNK // len(nodes))
+    rows = max(1, 50_000 // len(nodes))  # quadrature points evaluated at once: bounds the memory of sessions of hours
     for i in range(0, len(end), rows):
         chunk = end[i : i + rows, None] + nodes
         states = truth.at(truth.clock.to_session(chunk.ravel()))

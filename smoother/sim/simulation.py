@@ -31,9 +31,6 @@ from smoother.sim.sensors import (
 from smoother.sim.track import TRACKS, Track
 from smoother.sim.truth import Clock, Truth
 
-WHEEL_STEP = 0.05  # s; steering is slower than 10 Hz
-SLOW = 2.0  # m/s
-
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
@@ -99,7 +96,7 @@ def _wheel(motion: Motion, truth: Truth, duration: float, rng: np.random.Generat
         return None
     angle = wander(-MARGIN, duration + MARGIN, motion.steering_length, rng, motion.steering)
     if motion.steering_per_curvature != 0.0:
-        time = np.arange(-MARGIN, duration + MARGIN, WHEEL_STEP)
+        time = np.arange(-MARGIN, duration + MARGIN, 0.05)  # s; steering is slower than 10 Hz
         bend = motion.steering_per_curvature * _curvature(truth, truth.clock.to_session(time))
         angle = make_interp_spline(time, angle(time) + bend, k=5)
     return Wheel(angle, np.array([-np.cos(motion.column), 0.0, np.sin(motion.column)]))
@@ -110,7 +107,7 @@ def _curvature(truth: Truth, t: Array) -> Array:
     states = truth.at(np.clip(t, truth.first, truth.last))
     velocity, change = states.velocity_n, states.acceleration_n
     across = to_left(velocity, change)
-    return np.asarray(across / np.maximum(np.hypot(velocity[:, 0], velocity[:, 1]), SLOW) ** 3)
+    return np.asarray(across / np.maximum(np.hypot(velocity[:, 0], velocity[:, 1]), 2.0) ** 3)  # m/s
 
 
 def simulate_preset(

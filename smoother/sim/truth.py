@@ -20,7 +20,6 @@ _DEGREE = 5
 _POSITION, _EULER = slice(0, 3), slice(3, 6)
 _REVOLUTIONS, _THROTTLE, _RUNNING = 6, 7, 8
 CHANNELS = 9
-_CROSSING_STEP = 0.02  # s; a kart does not pass a line twice within this
 
 
 @dataclass(frozen=True)
@@ -174,7 +173,7 @@ class Truth:
         bisection of the analytic path.
         """
         arm = np.zeros(3) if lever_arm_b is None else np.asarray(lever_arm_b, dtype=np.float64)
-        t = np.arange(self.first, self.last, _CROSSING_STEP)
+        t = np.arange(self.first, self.last, 0.02)  # s; a kart does not pass a line twice within this
         along, across = self._line_coordinates(t, line, arm)
         hit = (along[:-1] < 0.0) & (along[1:] >= 0.0) & (np.abs(across[:-1]) < 2.0)
         low, high = t[:-1][hit], t[1:][hit]
