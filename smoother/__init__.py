@@ -1,4 +1,4 @@
-"""Smooth a go-kart session offline: position, velocity, attitude and lap times, each with an honest error bar.
+"""Smooth a go-kart session offline: position, velocity, attitude and lap times, each with an error bar.
 
 The value flows one way::
 

@@ -322,7 +322,7 @@ def summary(
 ) -> dict[str, object]:
     """Return what summary.json holds, without the list of input files.
 
-    session, every: as for :func:`write_tables`. timings: s of each stage; options: what the estimate was asked for.
+    session, every: as for :func:`write_tables`. timings: s of each stage; options: those of the estimate.
     """
     from smoother.laps.stage import lap_documents
     from smoother.report.summary import summary as document_of

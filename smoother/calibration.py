@@ -211,10 +211,7 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def _require_known(document: Mapping[str, object], path: Path) -> None:
-    """Raise ConfigError for a slip of the pen, which would leave a sensor uncalibrated.
-
-    Texts are notes, and so are tables that are neither called nearly as a sensor's nor hold keys of one.
-    """
+    """Raise ConfigError for a misspelt table or one that holds keys of a sensor; other tables and texts are notes."""
     for name, section in document.items():
         if name in _TABLES and isinstance(section, dict):
             _require_known_keys(name, section, path)

@@ -28,7 +28,7 @@ from smoother.documents import STAGING
 from smoother.errors import SmootherError
 
 COMMAND = ("-P", "-m", "smoother.cli")  # -P: no module of the working directory stands in for ours
-"""What Python is asked to run for each session."""
+"""Arguments of Python for each session."""
 STARTS = 2  # of a session that something outside killed: the system, short of memory for all, or a person
 MOST_STDERR = 65536  # bytes of the standard error of a process that are kept, the last ones
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "memory allocation of", "Cannot allocate memory", "can't start new thread")
@@ -189,7 +189,7 @@ def _failure(task: Task, ended: Ended) -> tuple[State, str]:
 
 
 def _reason(task: Task, lines: list[str]) -> str:
-    """The last line of stderr, without the name of the session, which stands beside it."""
+    """The last line of stderr, without the name of the session."""
     last = lines[-1] if lines else "no reason was given"
     return last.removeprefix("smooth: ").removeprefix(f"{task.session}: ").removeprefix(f"{task.session}/")
 

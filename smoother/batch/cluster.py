@@ -69,9 +69,7 @@ def connect(address: str) -> Client:
 
 @contextmanager
 def _no_garbage_collected() -> Iterator[None]:
-    """Keep the collector off: a client that failed before is closed by it, for which it needs the lock that a new one
-    holds while it starts, and both would wait for ever.
-    """
+    """Keep the collector off: closing an earlier client needs the lock that a new one holds while it starts."""
     was_on = gc.isenabled()
     gc.disable()
     try:

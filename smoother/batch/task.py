@@ -5,7 +5,7 @@ from pathlib import Path
 
 SUMMARY, TRAJECTORY, REPORT = "summary.json", "trajectory.csv", "report.html"
 ERROR_LOG = "batch-error.txt"
-"""What a run that broke had to say, beside its results."""
+"""The standard error of a run that broke, beside its results."""
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def require_sessions(sessions: tuple[Path, ...], command: str) -> None:
 
 
 def each_once(sessions: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Return the sessions without repetitions, by whatever path; each repetition is reported in a line."""
+    """Return the sessions without repetitions, also by another path; each repetition is reported in a line."""
     names: dict[Path, list[str]] = {}
     for path in sessions:
         names.setdefault(path.resolve(), []).append(str(path))

@@ -132,10 +132,7 @@ def _title(folders: tuple[Path, ...]) -> str:
 
 @contextlib.contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """Let Ctrl-C, a closed terminal or SIGTERM stop the batch at once and in order.
-
-    Ctrl-C needs a handler too, because that of a library (polars) waits for the end of a session.
-    """
+    """Let Ctrl-C (polars would wait for the end of a session), a closed terminal or SIGTERM stop the batch at once."""
 
     def stop(_: int, __: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -99,11 +99,7 @@ def write(simulation: Simulation, directory: Path, form: str, states_truth: bool
 
 
 def _require_nothing_else(directory: Path) -> None:
-    """Raise UsageError where a folder has a recording that no simulation wrote.
-
-    Files of the same names would be overwritten; any other recording would be ignored, since the simulation is read
-    first.
-    """
+    """Raise UsageError where a folder has a recording that no simulation wrote: it would be overwritten or ignored."""
     from smoother.session.files import list_files
 
     if not directory.is_dir():

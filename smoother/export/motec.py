@@ -179,7 +179,7 @@ def _channel_head(source: Source, log: LogChannel, index: int, channels: int, da
 
 
 def _ascii(text: str) -> str:
-    """Text with accents taken off and question marks for other letters: the format knows ASCII only."""
+    """Text without accents and with question marks for other letters: the format knows ASCII only."""
     plain = unicodedata.normalize("NFKD", text)
     plain = "".join(c for c in plain if not unicodedata.combining(c))
     return plain.encode("ascii", errors="replace").decode().strip()

@@ -251,7 +251,7 @@ def _lap(row: dict[str, str | None], sectors: list[str]) -> LapRow | None:
 
 
 def _best_lap(path: Path, lap: LapRow) -> BestLap | None:
-    """Track distance over time of one lap; None where trajectory.csv does not know it."""
+    """Track distance over time of one lap; None where trajectory.csv does not hold it."""
     if "lap_distance_m" not in header_of(path):
         return None
     t_parts, distance_parts = [], []

@@ -145,10 +145,7 @@ class _Bands:
 
 
 def _multitaper(values: Array, rate: float) -> tuple[Array, Array, float]:
-    """Frequencies (F,), two-sided densities (F, D), half their bandwidth. The first two estimates are left out.
-
-    (There the mean that was subtracted, and the changing spectrum within one bandwidth, would have to be modelled.)
-    """
+    """Frequencies (F,), two-sided densities (F, D), half their bandwidth, without the two lowest frequencies."""
     count = len(values)
     centred = values - values.mean(axis=0)
     n = np.arange(1, count + 1)

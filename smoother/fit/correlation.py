@@ -1,4 +1,4 @@
-"""How much less a mean is worth because neighbouring residuals are alike."""
+"""The sigma of a mean of correlated residuals."""
 
 import numpy as np
 

@@ -123,11 +123,7 @@ def _refuse_saturated(points: Array) -> None:
 
 
 def _is_saturated(points: Array, axis: int, extreme: Callable[[Array], float]) -> bool:
-    """Say whether readings pile up at an end of an axis while the other axes differ.
-
-    Ordinary readings share levels too (quantisation), and a logger at rest repeats one reading: so the pile is compared
-    with the ten levels next to it, and must spread over the other axes as the rim of a cut-off cap does.
-    """
+    """Whether far more readings share the extreme value of an axis than the ten next values, and differ elsewhere."""
     values = points[:, axis]
     end = extreme(values)
     pile = values == end
@@ -239,10 +235,8 @@ def _start(thinned: Array) -> Array:
 
 
 def _refined(points: Array, thinned: Array, parameters: Array) -> tuple[Array, BoolArray]:
-    """Parameters (9,) by orthogonal distances of the points within OUTLIER_SIGMAS, and which these are (N,).
-
-    The noise that outliers are measured by is that of the thinned points: a logger at rest repeats one reading.
-    """
+    """Parameters (9,) by orthogonal distances of the points within OUTLIER_SIGMAS of the noise of the thinned points,
+    and which points these are (N,)."""
     used = np.zeros(len(points), dtype=np.bool_)
     for _ in range(10):
         centre, matrix = parameters[:3], _matrix(parameters)

@@ -154,10 +154,7 @@ def _lasting(line: _Line, distance: Array) -> float:
 
 
 def _lost(crossings: LapCrossings, lasting: float) -> float:
-    """Variance of a translation over the one that the jackknife finds, for residuals alike over `lasting` m.
-
-    Neighbouring blocks are alike, and the translation itself has taken a part of the residuals away.
-    """
+    """Variance of a translation over that of the jackknife, for residuals correlated over `lasting` m."""
     normal_n, distance = crossings.normal_n, crossings.distance
     alike = np.exp(-0.5 * ((distance[:, None] - distance) / lasting) ** 2)
     inverse = np.linalg.inv(_normal_matrix(np.ones((1, len(distance))), normal_n)[0])
@@ -200,10 +197,7 @@ def _process(translation_n: Array, covariance: Array, crossings: LapCrossings) -
 
 
 def _log_likelihood(translation_n: Array, covariance: Array, within: Array) -> Array:
-    """Restricted log likelihood (S, T) of LOG_SIGMA and LOG_TAU; within (n, WITHIN) s: times of each lap.
-
-    All laps have the same covariance, so that its axes separate them, and one basis for each tau serves all sigmas.
-    """
+    """Restricted log likelihood (S, T) of LOG_SIGMA and LOG_TAU; within (n, WITHIN) s: times of each lap."""
     n = len(translation_n)
     noise, axes = np.linalg.eigh(covariance)
     contrasts = np.linalg.svd(np.eye(n) - 1.0 / n)[0][:, : n - 1]  # free of the mean, which is the line's

@@ -24,7 +24,7 @@ BIN = 10.0  # m, of repeat distances; as wide as SAME_PLACE blurs them
 SLACK = 0.02  # relative spread of lap lengths: lines differ from lap to lap
 REPEATING = 0.3  # least share of the path that must repeat for a loop to be one
 COMPARABLE = 0.5  # of the distance after which most repeats: a shorter one that repeats as well is the lap
-SURE_ROUNDS = 1.5  # times a lap's length repeats: a loop, however far the kart (or the car it lies in) went otherwise
+SURE_ROUNDS = 1.5  # repeated laps: a loop, whatever else the kart or its transporter drove
 SURE_LENGTH = 300.0  # m of such a lap; what wanders about in the paddock has shorter ones
 
 
@@ -66,7 +66,7 @@ def _repeats(path: PlanPath, row: IntArray, shortest: float) -> tuple[IntArray, 
     position, driven = path.position_n[row], path.driven[row]
     direction = path.velocity_n[row] / np.maximum(path.speed[row], 1e-6)[:, None]
     chosen = np.unique(np.linspace(0, len(row) - 1, min(MOST_PLACES, len(row))).astype(np.int64))
-    some = max(1, PAIRS // len(row))  # of the places at once: a day comes by each of them two thousand times
+    some = max(1, PAIRS // len(row))  # of the places at once: in a day each is passed two thousand times
     found = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
     for part in pieces(len(chosen), some):
         i, j = _within(position, chosen[part], SAME_PLACE)
@@ -116,10 +116,8 @@ def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
 
 
 def _seen_at_both_ends(driven: Array, bins: int) -> Array:
-    """Length (bins,) m of the path that could have repeated after so many bins: what is no guess there and here.
-
-    driven (M,) m: places that are no guess. By its autocorrelation.
-    """
+    """Length (bins,) m of the path with fixes at both ends of each distance, by autocorrelation; driven (M,) m: places
+    with fixes."""
     seen = np.zeros(int((driven[-1] - driven[0]) / BIN) + 1)
     seen[((driven - driven[0]) / BIN).astype(np.int64)] = 1.0
     transform = np.fft.rfft(seen, 1 << (2 * len(seen) - 1).bit_length())  # nothing meets its own end

@@ -69,7 +69,7 @@ def of_positions(residuals: Residuals) -> float:
 
 
 def of_velocities(residuals: Residuals, by_path: float = BY_FORCE) -> float:
-    """Likewise of velocities, beside what says how one of them goes on to the next: samples, or a smooth path."""
+    """Likewise of velocities, beside samples or a smooth path that connect them."""
     own, share = _spread(residuals, redundancy_as_white), max(residuals.share, LEAST_SHARE)
     return min(ANY_NOISE, math.hypot(own, OF_FIXES, by_path * (1.0 - share) / share))
 
@@ -88,9 +88,8 @@ def of_rate(residuals: Residuals) -> float:
 def _spread(residuals: Residuals, redundancy_of: Callable[[float], float]) -> float:
     """Sigma of the logarithm of a sigma that was found as sqrt(squares / expected); ANY_NOISE if not observable.
 
-    redundancy_of: part of a small change that residuals show, by the share that is left.
-    Squares of residuals vary by twice the mean square of what is left of the noise over all frequencies: that part
-    of the redundancy. Sources: Foerstner 1979; Huber 1967 (from blocks, if that is more).
+    redundancy_of: part of a small change that residuals show, by their share. Sources: Foerstner 1979; Huber 1967
+    (scatter of blocks).
     """
     redundancy = residuals.redundancy
     if redundancy < 1.0 or float(np.sum(residuals.squares)) <= 0.0:

@@ -111,10 +111,7 @@ def robust_start(points: Array) -> tuple[Array, Array] | None:
 
 
 def _ranked(points: Array, rough: RoughEllipsoids) -> list[tuple[float, Array, Array]]:
-    """Median distance, centre and matrix of the valid candidates, best first.
-
-    A huge ellipsoid is almost a plane and passes near anything, so those beyond three extents do not count.
-    """
+    """Median distance, centre and matrix of the valid candidates within three extents of the points, best first."""
     extent = 3.0 * float(np.max(np.percentile(points, 95.0, axis=0) - np.percentile(points, 5.0, axis=0)))
     centre, matrix = rough.centre[rough.is_valid], rough.matrix[rough.is_valid]
     small = extent * np.linalg.eigvalsh(matrix)[:, 0] > 1.0

@@ -306,10 +306,7 @@ def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:
 
 
 def _without_turned_runs(still: BoolArray, rate: _Blocks, bias: Array | None) -> BoolArray:
-    """Return the mask (B,) of blocks less the runs in which the kart was turned; bias (3,) rad/s or unknown.
-
-    Of one that is turned at an end alone, when it sets off for one, the rest stays.
-    """
+    """The mask (B,) without the parts of runs in which the kart was turned; bias (3,) rad/s or unknown."""
     chance = TURNED_SIGMAS * np.sqrt(rate.within / np.maximum(rate.count * rate.occupied, 1.0))
     out = np.zeros_like(still)
     for first, after in zip(*runs_of(still), strict=True):

@@ -76,10 +76,7 @@ def sample_timing(t: Array) -> Timing:
 
 
 def _common_slope(stretches: list[Array]) -> tuple[float, float]:
-    """Slope per row of parallel straight lines through stretches (N,) of values, and its sum of squares.
-
-    By least squares: for independent errors of sigma, that of the slope is sigma over the root of that sum.
-    """
+    """Least-squares slope per row of parallel lines through stretches (N,) of values, and the sum of squared rows."""
     rows = [np.arange(len(values)) - 0.5 * (len(values) - 1) for values in stretches]
     lever = float(sum(row @ row for row in rows))
     return sum(float(row @ (values - values[0])) for row, values in zip(rows, stretches, strict=True)) / lever, lever

@@ -129,10 +129,7 @@ def reference_lap_of(
 def _tied(
     trajectory: Trajectory, fixes: FixPath, drift: Drift | None, *, ties_laps: bool = True
 ) -> tuple[Trajectory, JointPosition | None, SigmaSource]:
-    """The trajectory with its laps tied, the covariance of its positions, and where that is from.
-
-    Fixes alone are not tied: what is assumed of their error is no estimate of it.
-    """
+    """The trajectory with its laps tied, unless the covariance is a model, and the covariance with its source."""
     interval = float(np.median(np.diff(fixes.t))) if len(fixes.t) > 1 else np.inf
     errors, source = position_errors(trajectory, interval, drift)
     if ties_laps and errors is not None and source in ("joint", "stored"):

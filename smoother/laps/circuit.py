@@ -82,8 +82,7 @@ def _first_curve(path: PlanPath, lines: GivenLines | None, shortest: float, blin
 
 
 def _between_gates(path: PlanPath, start: Array, end: Array, shortest: float) -> tuple[float, float] | None:
-    """The quickest passage (start, end) s from one gate to another, in the direction in which the first is passed more
-    often."""
+    """The quickest passage (start, end) s from one gate to another, in either direction."""
     best: tuple[float, float] | None = None
     for forward in both_ways(start):
         t0 = gate_crossings(path, oriented("", start, forward, ""), BESIDE)

@@ -168,8 +168,7 @@ def _lost_sigma(
     reference: int | None,
     errors: JointPosition | None,
 ) -> Array:
-    """Sigma (L, C) of the time lost in each segment; a reference from another session is assumed to have the same
-    sigma."""
+    """Sigma (L, C) of the time lost in each segment; a reference of another session is assumed to have the same."""
     out = np.full((len(at_bounds), len(bounds) - 1), np.nan)
     if errors is None:
         return out

@@ -64,7 +64,7 @@ def _are_halves(rows: list[list[str]]) -> bool:
 
 
 def _lines(path: Path) -> list[str]:
-    """The lines of the file, whatever program wrote it. Raises SessionError where it is too large, or unreadable."""
+    """The lines of the file, in any encoding. Raises SessionError where it is too large, or unreadable."""
     too_large = f"{path}: larger than {LARGEST >> 20} MB; this is no table of lap times"
     data = read_bounded(path, SessionError, too_large)
     lines = [line.decode("utf-8-sig", errors="replace") for line in in_utf8(data).splitlines()]

@@ -58,10 +58,7 @@ def read_stated(config: SessionConfig, directory: Path, recording: Path | None =
 
 
 def _named(track: str, directory: Path) -> tuple[TrackFile, ...]:
-    """The tracks that session.toml names; none for an unknown name.
-
-    Raises ConfigError for a name similar to that of a known track.
-    """
+    """The tracks that session.toml names, none for an unknown name; ConfigError for one similar to a known track."""
     from smoother.laps.tracks import named_tracks, nearest_known
 
     tracks = named_tracks(track, directory)
@@ -200,7 +197,7 @@ def options_on(smoothed: Trajectory, origin: Origin, stated: Stated, drift: Drif
 
 
 def drift_of_session(smoothed: Trajectory) -> Drift | None:
-    """Return how the position error changes with time, to be stored, where the estimator knows; else None."""
+    """Return how the position error changes with time, to be stored; None where it is unknown."""
     from smoother.laps.sigma import drift_of
 
     if smoothed.joint is None:

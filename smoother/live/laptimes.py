@@ -116,8 +116,7 @@ class LapClock:
 
 
 def _leads_to(one: Row, other: Row) -> bool:
-    """Whether a fix, t s with position and velocity (3,), agrees with the prediction from an earlier one, or that is
-    long ago."""
+    """Whether a fix agrees with the prediction from an earlier one, or that is older than STAYED."""
     (t, position_n, velocity_n), (later, there_n, then_n) = one, other
     step = later - t
     off = there_n - position_n - 0.5 * step * (velocity_n + then_n)

@@ -191,10 +191,7 @@ def _newest_us(records: LogRecords) -> int:
 
 
 def _joined(parts: list[LogRecords]) -> LogRecords:
-    """One set of records, in order. The settings are those of the last that has them, else the default ones.
-
-    Blocks without SETUP would be read with the wrong ranges, hence never none.
-    """
+    """One set of records, in order, with the last known settings or the default ones, which give the ranges."""
     setups = [part.setup for part in parts if part.setup is not None]
     stops = [part.stop for part in parts if part.stop is not None]
     return LogRecords(

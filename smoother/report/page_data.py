@@ -199,10 +199,7 @@ def _slides(sideslip: Array, sigma: Array) -> dict[str, Array]:
 
 
 def _reliability(smoothed: Trajectory, t: Array) -> dict[str, Array]:
-    """Return 1 where the speed at times t of any shape is reliable, else 0; empty unless the highest one is not.
-
-    Scales leave such spikes out, as the top speed does.
-    """
+    """1 where the speed at times t of any shape is reliable, else 0; empty unless the highest one is not."""
     speed, reliable = smoothed.speed, reliable_rows(smoothed.speed, speed_sigma(smoothed))
     if not reliable.any() or not (speed[~reliable] > speed[reliable].max()).any():
         return {}

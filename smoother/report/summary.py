@@ -37,7 +37,7 @@ def summary(
     options: Mapping[str, object],
     laps: LapAnalysis | None = None,
 ) -> Document:
-    """Return the document; `timings` are seconds per stage, `options` how the estimate was asked for."""
+    """Return the document; `timings` are seconds per stage, `options` those of the estimate."""
     report = estimate.report
     return {
         "version": smoother.__version__,

@@ -20,7 +20,7 @@ from smoother.units import DEG, STANDARD_GRAVITY
 _STEP = 0.02  # s between control points: the truth holds motion up to about 15 Hz
 _PLAN_STEP = 1.0  # m between nodes of the speed plan
 MARGIN = 5.0  # s of truth before the first and after the last sample, for latencies and filters
-_LAUNCH_MARGIN = 1.0  # s; smoothing and slip lead stir the kart up to 0.9 s before the plan moves it
+_LAUNCH_MARGIN = 1.0  # s; smoothing and slip lead move the kart up to 0.9 s before the plan
 _SPEED_SMOOTHING = 0.12  # s; foot and hand are not faster (jerk below about 60 m/s^3)
 
 
@@ -108,10 +108,8 @@ def drive(track: Track, motion: Motion, duration: float, rng: np.random.Generato
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """The line driven, all laps on end. Nodes (K,): distance along the centre line, length driven, curvature, grip.
-
-    `offset` gives metres left of the centre line over the distance along it.
-    """
+    """The driven line. Nodes (K,): distance along the centre line, length driven, curvature, grip; offset to the left
+    (m) over that distance."""
 
     distance: Array
     length: Array

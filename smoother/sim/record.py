@@ -155,7 +155,7 @@ def wheel_table(wheel: WheelSpeed) -> pl.DataFrame:
 
 
 def fix_table(fixes: GnssFixes) -> pl.DataFrame:
-    """Columns of gps.csv that the fixes know; components of velocity only where the receiver sent Up.
+    """Columns of gps.csv that the fixes have; components of velocity only where the receiver sent Up.
 
     Time and place are there without a fix too: a table without a header line would be none.
     """

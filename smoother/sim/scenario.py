@@ -101,7 +101,7 @@ class ImuErrors:
 
     @property
     def filter_delay(self) -> float | None:
-        """Delay s that the logger knows its low-pass to have: half a sample's; None where samples are late beyond it.
+        """Stated delay s of the logger's low-pass, half a sample; None where samples have a further delay.
 
         A smoother has to identify that.
         """

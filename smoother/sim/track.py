@@ -160,10 +160,7 @@ def _fillet(before: Array, vertex: Array, after: Array, radius: float) -> tuple[
 
 
 def _corners(turn_deg: float, *east_north_radius: tuple[float, float, float]) -> tuple[Corner, ...]:
-    """Corners from (east, north, radius) triples, m, the way a map is read, turned clockwise by turn_deg.
-
-    The turn keeps straights off the axes of n, where a mistaken sign could go unseen.
-    """
+    """Corners from (east, north, radius) triples, m, turned clockwise so that no straight is along an axis."""
     cos, sin = np.cos(turn_deg * DEG), np.sin(turn_deg * DEG)
     return tuple(
         Corner(float(cos * north - sin * east), float(-cos * east - sin * north), radius)
