@@ -20,7 +20,6 @@ from smoother.frames import Origin, geodetic_to_nwu
 SENSOR_AXES = 3
 GAP_STEPS = 1.5  # usual steps, beyond which a sample is missing
 BESIDE = 16  # steps before or after one, that tell the rate there
-ALIKE_STEPS = 1.6  # ratio of the long ones among these to the short ones; between samples lost by chance it is more
 SLOWEST_STEP = 0.0525  # s; twenty samples a second, with some jitter: fewer do not tell how a kart moves
 
 IMU_BEFORE_FIXES, IMU_AFTER_FIXES = "imu_before_fixes", "imu_after_fixes"  # by the stamps of both, as they were read
@@ -59,7 +58,8 @@ def usual_steps(steps: Array, usual: float) -> Array:
             some = long[part]
             some = some[(some + beside[0] >= 0) & (some + beside[-1] < len(steps))]
             short, middle, tall = np.percentile(steps[some[:, None] + beside], [20.0, 50.0, 80.0], axis=1)
-            is_rate = (tall < ALIKE_STEPS * short) & (middle > GAP_STEPS * usual) & (middle <= SLOWEST_STEP)
+            # ratio of the long ones among these to the short ones; between samples lost by chance it is more
+            is_rate = (tall < 1.6 * short) & (middle > GAP_STEPS * usual) & (middle <= SLOWEST_STEP)
             local[some[is_rate]] = middle[is_rate]
     return local
 

@@ -30,7 +30,6 @@ from smoother.errors import SmootherError
 COMMAND = ("-P", "-m", "smoother.cli")  # -P: no module of the working directory stands in for ours
 """Arguments of Python for each session."""
 STARTS = 2  # of a session that something outside killed: the system, short of memory for all, or a person
-MOST_STDERR = 65536  # bytes of the standard error of a process that are kept, the last ones
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "memory allocation of", "Cannot allocate memory", "can't start new thread")
 
 
@@ -152,7 +151,8 @@ def _megabytes(usage: resource.struct_rusage) -> float:
 
 
 def _last_of(words: IO[bytes]) -> str:
-    words.seek(max(0, words.seek(0, os.SEEK_END) - MOST_STDERR))
+    # bytes of the standard error of a process that are kept, the last ones
+    words.seek(max(0, words.seek(0, os.SEEK_END) - 65536))
     return words.read().decode("utf-8", errors="replace")
 
 

@@ -15,7 +15,6 @@ from smoother.batch.outcome import Facts, Outcome
 from smoother.batch.task import Task, is_there
 
 FAR = 3000.0  # m between first fixes, of paddock and pit too: not the same track
-OTHER_LENGTH = 0.04  # of a track's length: another layout; the driven line differs by 1 % at the most
 METRES_PER_DEGREE = 111_320.0  # of latitude; enough to distinguish tracks
 
 
@@ -119,7 +118,8 @@ def _is_same(a: Facts, b: Facts) -> bool:
     assert b.lat_deg is not None and b.lon_deg is not None and b.length_m is not None
     north = (a.lat_deg - b.lat_deg) * METRES_PER_DEGREE
     east = ((a.lon_deg - b.lon_deg + 180.0) % 360.0 - 180.0) * METRES_PER_DEGREE * math.cos(math.radians(a.lat_deg))
-    return math.hypot(north, east) < FAR and abs(a.length_m - b.length_m) < OTHER_LENGTH * a.length_m
+    # of a track's length: another layout; the driven line differs by 1 % at the most
+    return math.hypot(north, east) < FAR and abs(a.length_m - b.length_m) < 0.04 * a.length_m
 
 
 def tracks_of(entries: Sequence[Entry]) -> list[Track]:

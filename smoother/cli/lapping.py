@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from smoother.utc_clock import UtcClock
 
 Document = dict[str, Any]
-SAME = 1e-5  # deg; a metre, by which a line found on stored rows may differ
 
 line_option = click.option(
     "--line",
@@ -165,7 +164,8 @@ def documents_of(analysis: LapAnalysis, origin: Origin) -> Document:
 def _are_on_same_lines(found: Document, stored: Document) -> bool:
     """Whether laps were timed on lines that were found, those of `summary.json`."""
     one, other = (_found_line(document.get("lap_analysis")) for document in (found, stored))
-    return one is not None and other is not None and all(abs(a - b) < SAME for a, b in zip(one, other, strict=True))
+    # deg; a metre, by which a line found on stored rows may differ
+    return one is not None and other is not None and all(abs(a - b) < 1e-5 for a, b in zip(one, other, strict=True))
 
 
 def _found_line(analysis: Document | None) -> list[float] | None:

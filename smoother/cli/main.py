@@ -17,7 +17,6 @@ from smoother.cli.smoothing import smooth
 from smoother.errors import SmootherError, UsageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # errors of a full disk
-GARBAGE_EVERY = 300_000  # allocated objects, three times those of the libraries, in place of the default of 700
 
 
 def main() -> None:
@@ -27,7 +26,7 @@ def main() -> None:
     time of smoothing a session.
     """
     threads.start_none()
-    gc.set_threshold(GARBAGE_EVERY)
+    gc.set_threshold(300_000)  # allocated objects, three times those of the libraries, in place of the default of 700
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for terminals without ±

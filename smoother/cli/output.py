@@ -20,7 +20,6 @@ import click
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its finished share (0..1)."""
-OPENING = 3.0  # s after which the browser is assumed to be open
 NAME_COLUMNS, GUTTER = 12, "  "  # of pairs: the least width of names (and of values), and the gap between
 
 
@@ -59,7 +58,8 @@ def open_page(path: Path) -> None:
     opener = "open" if sys.platform == "darwin" else "xdg-open"
     try:
         none = subprocess.DEVNULL  # it reports on its own search
-        is_open = subprocess.Popen([opener, str(path)], stdin=none, stdout=none, stderr=none).wait(OPENING) == 0
+        # s after which the browser is assumed to be open
+        is_open = subprocess.Popen([opener, str(path)], stdin=none, stdout=none, stderr=none).wait(3.0) == 0
     except subprocess.TimeoutExpired:  # the browser itself
         is_open = True
     except OSError:

@@ -28,7 +28,6 @@ CHANNEL = struct.Struct("<4I4H4h32s8s12s40x")
 FIRST_CHANNEL_ID = 0x2EE1
 FLOAT, INT = 7, 5  # codes of the kinds of number; both 4 bytes here
 ANGLE_DECIMALS = 7  # of a degree, 11 mm: what fits into 32 bits
-SHORT_NAME = 7  # letters of the short name of a channel, before a zero
 LARGEST_FILE = 2**32 - 1  # pointers have 32 bits
 SERIAL, DEVICE, DEVICE_VERSION = 0x1F44, "ADL", 420
 MARKS = (  # offset, layout, values: the same in every file
@@ -108,7 +107,8 @@ def _channels(source: Source) -> list[LogChannel]:
     laps = {channel.column for channel in lap_channels(source)}
     known = {log.channel.column for log in ALL if source.has(log.channel.column)} - {channel.column for channel in LAP}
     columns = laps | known | {*ALWAYS, "course_deg"}
-    logged = [LogChannel(channel, channel.name[:SHORT_NAME]) for channel in logged_channels(source, "motec")]
+    # letters of the short name of a channel, before a zero
+    logged = [LogChannel(channel, channel.name[:7]) for channel in logged_channels(source, "motec")]
     return [*(log for log in ALL if log.channel.column in columns), *logged]
 
 

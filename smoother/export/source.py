@@ -19,8 +19,6 @@ from smoother.frames import Origin
 from smoother.utc_clock import UtcClock
 
 TRAJECTORY, LAPS, SUMMARY = "trajectory.csv", "laps.csv", "summary.json"
-MOST_ROWS = 30_000_000  # eight hours at 1000 Hz; beyond, the times of the file are damaged
-SAME_RATE = 1e-4  # share; stored times are rounded to a microsecond
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,8 @@ class Source:
 
     @property
     def _is_resampled(self) -> bool:
-        return self.rate is not None and abs(self.rate - self.survey.rate) > SAME_RATE * self.survey.rate
+        # share; stored times are rounded to a microsecond
+        return self.rate is not None and abs(self.rate - self.survey.rate) > 1e-4 * self.survey.rate
 
     @property
     def crossings(self) -> list[float]:
@@ -170,7 +169,8 @@ def open_source(directory: Path, rate: float | None = None) -> Source:
     """Open the results in `directory`. Raises SessionError, one line, where they are missing or damaged."""
     path = directory / TRAJECTORY
     survey = _survey(path)
-    if rate is not None and (survey.end - survey.start) * rate > MOST_ROWS:
+    # eight hours at 1000 Hz; beyond, the times of the file are damaged
+    if rate is not None and (survey.end - survey.start) * rate > 30_000_000:
         raise SessionError(f"{path}: {(survey.end - survey.start) * rate:.0f} rows at {rate:g} Hz; ask for fewer")
     about, origin, clock = _about(directory / SUMMARY)
     name = one_line(about.get("name", "")) or one_line(directory.resolve().parent.name) or "session"

@@ -24,9 +24,7 @@ from smoother.fit.ellipsoid import FitError
 
 PARTS = ("noise density", "bias instability", "random walk")
 TAPERS = 4  # a spectral estimate has twice as many degrees of freedom
-HIGHEST_FREQUENCY = 0.125  # of the sampling rate; above, the sensor's own low-pass filter bends the spectrum
 BANDS_PER_DECADE = 30
-LINE_CHANCE = 1e-6  # that noise alone lifts a band this far: mains hum and the like are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +125,8 @@ class _Bands:
     def of(values: Array, rate: float) -> "_Bands":
         """Sine multitaper estimates, one per bandwidth so that they are independent, averaged over even bands."""
         frequency, density, half_width = _multitaper(values, rate)
-        inside = frequency < HIGHEST_FREQUENCY * rate
+        # of the sampling rate; above, the sensor's own low-pass filter bends the spectrum
+        inside = frequency < 0.125 * rate
         frequency, density = frequency[inside], density[inside]
         low, high = frequency - half_width, frequency + half_width
         # means over the width of an estimate, which at the low end is as wide as the frequency itself
@@ -174,7 +173,8 @@ def _is_line(density: Array, freedom: Array) -> BoolArray:
     before = np.median(sliding_window_view(padded[:-4], 3)[: len(density)], axis=1)
     after = np.median(sliding_window_view(padded[4:], 3)[: len(density)], axis=1)
     around = np.maximum(before, after)
-    return np.asarray(chi2.sf(freedom * density / around, freedom) < LINE_CHANCE / len(density))
+    # that noise alone lifts a band this far: mains hum and the like are left out
+    return np.asarray(chi2.sf(freedom * density / around, freedom) < 1e-6 / len(density))
 
 
 def _whittle(density: Array, basis: Array, freedom: Array) -> Array:

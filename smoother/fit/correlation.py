@@ -4,8 +4,6 @@ import numpy as np
 
 from smoother.arrays import Array
 
-SIGNIFICANT = 4.0  # sigmas of the autocorrelation of white noise
-
 
 def correlation_growth(residual: Array) -> float:
     """Factor by which sigmas grow because neighbouring residuals (N,), in time order, are alike; 1 for white noise.
@@ -17,7 +15,7 @@ def correlation_growth(residual: Array) -> float:
     power = float(centred @ centred)
     if n < 20 or power == 0.0:
         return 1.0
-    total, limit = 0.0, SIGNIFICANT / np.sqrt(n)
+    total, limit = 0.0, 4.0 / np.sqrt(n)  # sigmas of the autocorrelation of white noise
     for lag in range(1, min(200, n // 4)):  # residuals
         correlation = float(centred[lag:] @ centred[:-lag]) / power
         if correlation < limit:

@@ -22,8 +22,6 @@ from smoother.fit.six_position import AccelFit, excess_scatter
 from smoother.words import counted
 
 FEWEST_TURNS = 8
-LONGEST_TURN = 30.0  # s; beyond, the noise has outgrown what the turn shows
-SMALLEST_TURN = 0.2  # rad by which gravity's direction changes
 PRIOR = 0.1  # sigma of each entry about one and zero; ten times a poor data sheet
 
 
@@ -115,7 +113,8 @@ def _turns(t: Array, rate: Array, positions: Sequence[RestingPosition], up: Arra
     for k, (a, b) in enumerate(pairwise(positions)):
         i, j = np.searchsorted(t, [a.end, b.start])
         inside = steps[i:j]
-        if b.start - a.end > LONGEST_TURN or up[k] @ up[k + 1] > np.cos(SMALLEST_TURN):
+        # s; beyond, the noise has outgrown what the turn shows
+        if b.start - a.end > 30.0 or up[k] @ up[k + 1] > np.cos(0.2):  # rad by which gravity's direction changes
             continue
         if inside.size and np.max(inside) < 3.0 * typical:  # lost samples would be lost turn
             bias = 0.5 * (a.rate + b.rate)

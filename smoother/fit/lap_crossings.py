@@ -15,7 +15,6 @@ from smoother.fit.loop import find_loop
 from smoother.fit.plan_path import PlanPath
 from smoother.fit.running import gaussian_mean
 
-LONGEST_STEP = 0.35  # s between fixes at the most: a curve through rarer ones misses a corner by decimetres
 HOLE = 1.0  # s between fixes, over which nothing is crossed
 STEP = 0.05  # s between the places at which crossings are looked for
 REACH = 12.0  # m to either side of the line
@@ -50,7 +49,8 @@ def cross_stations(t: Array, position_n: Array, spacing: float = 10.0) -> LapCro
     t, position_n = t[known], position_n[known]
     t, first = np.unique(t, return_index=True)
     position_n = position_n[first]
-    if len(t) < 8 or float(np.median(np.diff(t))) > LONGEST_STEP:
+    # s between fixes at the most: a curve through rarer ones misses a corner by decimetres
+    if len(t) < 8 or float(np.median(np.diff(t))) > 0.35:
         return None
     path = _path(t, position_n)
     after = np.clip(np.searchsorted(t, path.t), 1, len(t) - 1)

@@ -23,7 +23,6 @@ SPACING = 10.0  # m between stations
 BLOCKS = 10  # of the track, left out in turn
 WITHIN = 6  # times of a lap that stand for all of it
 SETTLED = 6  # times that weights are renewed
-LEAST_SCATTER = 0.1  # m, of offsets about the line, whatever these are like
 STIFF = 1e-6  # of a station: keeps the translation of a lap defined where all normals are parallel
 # Of a receiver's slow error, m and s: logarithms of candidates, and what is usual: mean and sigma of the logarithm.
 LOG_SIGMA, LOG_TAU = np.log(np.geomspace(0.01, 12.0, 43)), np.log(np.geomspace(10.0, 1000.0, 24))
@@ -90,7 +89,8 @@ def _common_line(offset: Array, normal_n: Array) -> _Line:
     line = _translated(offset, normal_n, weight)
     for _ in range(SETTLED):  # the loss redescends softly, from a good start
         used = line.weight > 0.0
-        scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(line.residual[used]))), LEAST_SCATTER)
+        # m, of offsets about the line, whatever these are like
+        scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(line.residual[used]))), 0.1)
         fourth = (line.residual / (2.5 * scatter)) ** 4  # sigmas of offsets about the line, at which one counts half
         weight = np.where(used, 1.0 / (1.0 + fourth), 0.0)
         slope = np.where(used, (1.0 - 3.0 * fourth) * weight**2, 0.0)

@@ -15,7 +15,6 @@ from smoother.arrays import Array, IntArray
 
 TRIALS = 512  # with 10 points each: 14 clean draws at 30 % outliers, 3 at 40 %
 POINTS_PER_TRIAL = 10
-JUDGES = 400  # points by which the many candidates are compared
 MAX_CHOSEN = 3000
 GOLDEN = 0.6180339887498949  # the additive sequence of this step fills [0, 1) most evenly
 CONCENTRATED, CONCENTRATIONS = 8, 3  # candidates that are improved, and how often
@@ -116,7 +115,8 @@ def _ranked(points: Array, rough: RoughEllipsoids) -> list[tuple[float, Array, A
     centre, matrix = rough.centre[rough.is_valid], rough.matrix[rough.is_valid]
     small = extent * np.linalg.eigvalsh(matrix)[:, 0] > 1.0
     centre, matrix = centre[small], matrix[small]
-    judges = points[:: max(len(points) // JUDGES, 1)] if len(centre) > 1 else points
+    # points by which the many candidates are compared
+    judges = points[:: max(len(points) // 400, 1)] if len(centre) > 1 else points
     score = np.median(np.abs(first_order_distance(judges, centre, matrix)), axis=-1)
     return [(float(score[k]), centre[k], matrix[k]) for k in np.argsort(score)]
 

@@ -18,7 +18,6 @@ from smoother.fit.resting import RestingPosition, distinct_directions
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
 
-PRIOR_OFFSET = 2.0  # m/s^2; ten times the worst data sheet
 PRIOR_SCALE = 0.1
 PRIOR_MISALIGNMENT = 0.02  # cross-axis sensitivity of consumer parts, MPU-9250 data sheet
 LARGEST_OFFSET_SIGMA = 0.1  # m/s^2; positions that leave more do not calibrate
@@ -104,7 +103,8 @@ def _least_squares(force: Array, noise: Array, used: BoolArray, gravity: float) 
     """Parameters (9,), covariance (9, 9) and whitened residuals (K,), by Gauss-Newton with the prior."""
     parameters = np.concatenate([np.zeros(3), np.eye(3)[ROWS, COLUMNS]])
     prior_mean = parameters.copy()
-    prior = np.array([PRIOR_OFFSET] * 3 + [PRIOR_SCALE if i == j else PRIOR_MISALIGNMENT for i, j in _ENTRIES])
+    # m/s^2; ten times the worst data sheet
+    prior = np.array([2.0] * 3 + [PRIOR_SCALE if i == j else PRIOR_MISALIGNMENT for i, j in _ENTRIES])
     for _ in range(30):
         residual, jacobian, sigma = _lengths(force, noise, parameters, gravity)
         J, r = (jacobian / sigma[:, None])[used], (residual / sigma)[used]

@@ -64,10 +64,8 @@ class StandstillOptions:
 
 
 OPTIONS = StandstillOptions()
-MAX_POSITION_SPEED = 1.0  # m/s; limit where only positions are known and these are noisy
 POSITION_WINDOW = 3.0  # s on each side, over which positions are averaged into a speed
 FEWEST_BLOCKS = 4
-TURNED_SIGMAS = 4.0  # of the mean rate of some blocks, by their scatter
 
 
 def session_standstill(session: Session, gyro_bias: Array | None = None) -> BoolArray:
@@ -146,7 +144,8 @@ def fix_speeds(fixes: GnssFixes, origin: Origin) -> tuple[Array, Array]:
     if np.any(unknown):
         from_positions, sigma = _speed_from_positions(fixes, origin)
         speed = np.where(unknown, from_positions, speed)
-        limit[unknown] = np.clip(3.0 * sigma, OPTIONS.max_speed, MAX_POSITION_SPEED)[unknown]
+        # m/s; limit where only positions are known and these are noisy
+        limit[unknown] = np.clip(3.0 * sigma, OPTIONS.max_speed, 1.0)[unknown]
     return speed, limit
 
 
@@ -307,7 +306,8 @@ def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:
 
 def _without_turned_runs(still: BoolArray, rate: _Blocks, bias: Array | None) -> BoolArray:
     """The mask (B,) without the parts of runs in which the kart was turned; bias (3,) rad/s or unknown."""
-    chance = TURNED_SIGMAS * np.sqrt(rate.within / np.maximum(rate.count * rate.occupied, 1.0))
+    # of the mean rate of some blocks, by their scatter
+    chance = 4.0 * np.sqrt(rate.within / np.maximum(rate.count * rate.occupied, 1.0))
     out = np.zeros_like(still)
     for first, after in zip(*runs_of(still), strict=True):
         mean, unsure = rate.mean[first:after], chance[first:after]

@@ -14,10 +14,8 @@ from smoother.fit.ellipsoid import FitError
 from smoother.session.clock import find_gaps, regularize
 
 LEAST_OF_SPECTRUM = 256  # samples
-RUN = 3  # equal readings at an axis' extreme that noise does not make, for a sensor whose range is not known
 LARGEST_DELAY = 0.25  # s, that is looked for between gyroscope and magnetometer
 SPACING = 0.06  # s between two readings that are compared: a change beyond noise and rounding, still a small turn
-UNEXPLAINED = 0.7  # of the squared change; axes that do not belong together leave more than all of it
 OUTLIER = 6.0  # times the median size
 
 
@@ -105,7 +103,8 @@ def clipped_share(values: Array, full_scale: float | None = None) -> Array:
     """
     if full_scale is not None:
         return np.asarray(np.mean(np.abs(values) >= 0.995 * full_scale, axis=0))  # of the full scale
-    if len(values) < RUN:
+    # equal readings at an axis' extreme that noise does not make, for a sensor whose range is not known
+    if len(values) < 3:
         return np.zeros(values.shape[1])
     at_end = (values == values.max(axis=0)) | (values == values.min(axis=0))
     same = at_end[1:] & (values[1:] == values[:-1])
@@ -141,7 +140,8 @@ def magnetometer_against_gyro(t: Array, angular_rate: Array, field_t: Array, fie
     if (
         abs(x[0]) > LARGEST_DELAY
         or np.linalg.norm(x[1:]) > 0.3  # rad; beyond, the axes are not those of the gyroscope at all
-        or np.sum(residual[used] ** 2) > UNEXPLAINED * still
+        # of the squared change; axes that do not belong together leave more than all of it
+        or np.sum(residual[used] ** 2) > 0.7 * still
     ):
         raise FitError("the field does not turn as the gyroscope says; are both in the same axes?")
     sigma = changes.sigma(J[used], residual[used], used, x, normal)

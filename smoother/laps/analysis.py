@@ -38,8 +38,6 @@ from smoother.laps.top_speed import shrunk_tops
 from smoother.samples import Problem
 from smoother.trajectory import JointPosition, Trajectory
 
-GRID_SPEED = 0.5  # of the usual speed over the line, below which a lap has a standing start
-
 
 @dataclass(frozen=True, eq=False)
 class LapOptions:
@@ -260,7 +258,8 @@ def _from_grid(path: PlanPath, passages: tuple[Passage, ...]) -> BoolArray:
     speed = interpolated(np.array([passage.start for passage in passages]), path.t, path.speed)
     at_line = np.array([passage.starts_at_line for passage in passages], dtype=np.bool_)
     usual = float(np.median(speed[at_line])) if at_line.any() else 0.0
-    return np.asarray(at_line & (speed < GRID_SPEED * usual))
+    # of the usual speed over the line, below which a lap has a standing start
+    return np.asarray(at_line & (speed < 0.5 * usual))
 
 
 def _speeds(given: _Given, passages: tuple[Passage, ...]) -> Array:

@@ -20,7 +20,6 @@ from smoother.laps.wrong_direction import driven_against
 from smoother.samples import Problem
 
 USUAL = 1.2  # of the quickest lap's time per metre: slower laps do not shape the reference line
-ODD = 6.0  # m from the median of the laps, beyond which one does not shape the line there
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +140,8 @@ def laps_on_line(path: PlanPath, curve: Curve, followed: Followed, blind: BoolAr
     kept = np.isfinite(lateral).any(axis=1)
     lateral, up = lateral[kept], up[kept]
     if len(lateral) > 2:
-        odd = np.abs(lateral - _median(lateral)) > ODD
+        # m from the median of the laps, beyond which one does not shape the line there
+        odd = np.abs(lateral - _median(lateral)) > 6.0
         lateral[odd] = np.nan
     return lateral, up
 

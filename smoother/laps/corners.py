@@ -22,7 +22,6 @@ from smoother.units import DEG
 
 TIGHTEST_STRAIGHT = 1.0 / 70.0  # 1/m; a bend must be tighter than this somewhere
 BEND_ENDS = 1.0 / 160.0  # 1/m, or a third of the bend's own greatest curvature
-JOINED = 8.0  # m; two bends to the same side closer than this are one corner
 MOST_LAPS = 60  # whose losses enter the covariance; more change nothing
 OF_MEDIAN = 0.5 * np.pi  # variance of a median of normal values over that of their mean, of three or more
 
@@ -47,7 +46,8 @@ def find_bends(curve: Curve) -> tuple[Bend, ...]:
 
 
 def _bends_to(curvature: Array, side: float, spacing: float, curve: Curve) -> list[Bend]:
-    bent = _joined(curvature > BEND_ENDS, round(JOINED / spacing))
+    # m; two bends to the same side closer than this are one corner
+    bent = _joined(curvature > BEND_ENDS, round(8.0 / spacing))
     found = []
     for a, b in zip(*runs_of(bent), strict=True):
         inside = curvature[a:b]

@@ -22,8 +22,6 @@ from smoother.laps.sigma import Crossed, covariances, least_significant, sigma_o
 from smoother.trajectory import JointPosition, Trajectory
 
 GRID = 2.0  # m between points
-SIGMA_PLACES = 40  # points of a lap at which sigmas are computed; between them they are interpolated
-BLENDED = 30.0  # m over which times on the grid are blended into the crossing times, where a line is oblique
 SMOOTHED_OVER = 0.4  # s, of the acceleration that zones are judged by
 BRAKING, BRAKING_ENDS = -2.0, -1.0  # m/s^2, hysteresis
 DRIVING, DRIVING_ENDS = 0.7, 0.3  # m/s^2
@@ -103,7 +101,8 @@ def lap_times_at(path: PlanPath, circuit: Circuit, passage: Passage, distance: A
 def _led_in(distance: Array, error: float, is_crossing: bool) -> Array:
     if not is_crossing:
         return np.zeros(len(distance))
-    return np.asarray(error * np.clip(1.0 - distance / BLENDED, 0.0, 1.0))
+    # m over which times on the grid are blended into the crossing times, where a line is oblique
+    return np.asarray(error * np.clip(1.0 - distance / 30.0, 0.0, 1.0))
 
 
 def make_traces(
@@ -163,7 +162,8 @@ def _lateral(curve: Curve, position: Array, distance: Array) -> Array:
 
 def sigma_places(distance: Array) -> IntArray:
     """Indices (B,) of the points at which sigmas are computed, including both ends."""
-    return np.unique(np.linspace(0, len(distance) - 1, min(SIGMA_PLACES, len(distance))).round().astype(np.int64))
+    # points of a lap at which sigmas are computed; between them they are interpolated
+    return np.unique(np.linspace(0, len(distance) - 1, min(40, len(distance))).round().astype(np.int64))
 
 
 def _place_sigmas(

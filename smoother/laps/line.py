@@ -15,7 +15,6 @@ from smoother.laps.results import Line
 
 BESIDE = 12.0  # m beyond the ends of a gate at which a track may pass: three sigma of the wander of a GPS, twice
 HALF_WIDTH = 8.0  # m, of a line that was found: a wide kart track and the spread of its fixes
-BETWEEN = 0.45  # of the distance to another part of the track, which the line must not reach
 ELSEWHERE, ELSEWHERE_OF_SMALL = 40.0, 0.4  # m along the track, of the length of small ones: the other side of the round
 STRAIGHT = 1.0 / 120.0  # 1/m, largest curvature of a straight for a line
 FAST = 0.9  # of the best point's speed: all such points are equally good, and the one with more laps is chosen
@@ -61,7 +60,8 @@ def line_across(curve: Curve, distance: float, name: str, spread: float = 0.0) -
     at = np.array([distance])
     centre, tangent = curve.position(at)[0], curve.tangent(at)[0]
     left = np.array([-tangent[1], tangent[0]])
-    half = min(max(HALF_WIDTH, spread + 3.0), BETWEEN * _room(curve, distance))
+    # of the distance to another part of the track, which the line must not reach
+    half = min(max(HALF_WIDTH, spread + 3.0), 0.45 * _room(curve, distance))
     return Line(name, centre + half * left, centre - half * left, "found", distance)
 
 

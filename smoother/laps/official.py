@@ -11,8 +11,6 @@ from smoother.words import UNREADABLE
 
 NAMES = ("lap_time_s", "lap_time", "laptime", "time", "time_s")
 LONGEST = 3600.0  # s; a larger value is no lap time
-ODD_SHARE = 0.05  # of undecodable characters; more are a file of another kind
-LONGEST_ROW = 4096  # characters; a longer one is damaged
 
 
 def load_official(path: Path) -> tuple[float, ...]:
@@ -69,12 +67,14 @@ def _lines(path: Path) -> list[str]:
     data = read_bounded(path, SessionError, too_large)
     lines = [line.decode("utf-8-sig", errors="replace") for line in in_utf8(data).splitlines()]
     odd = sum(line.count(UNREADABLE) for line in lines)
-    return lines if odd <= ODD_SHARE * sum(map(len, lines)) else []
+    # of undecodable characters; more are a file of another kind
+    return lines if odd <= 0.05 * sum(map(len, lines)) else []
 
 
 def _row(line: str, delimiter: str) -> list[str]:
     """The cells of a line. Each is parsed alone, so that an unbalanced quotation mark affects one row."""
-    return next(csv.reader([line], delimiter=delimiter), []) if len(line) <= LONGEST_ROW else []
+    # characters; a longer one is damaged
+    return next(csv.reader([line], delimiter=delimiter), []) if len(line) <= 4096 else []
 
 
 def _column(header: list[str]) -> int:

@@ -18,7 +18,6 @@ from smoother.laps.timing import forward_normal, gate_crossings
 from smoother.samples import Problem
 
 LENGTH = (3.0, 120.0)  # m, of anything that may be a line across a track
-LEAST_SINE = 0.7  # of the angle between line and path, usually: 45 deg; laps cut a line that lies along them at 10
 
 Ends = tuple[tuple[float, float], tuple[float, float]]  # two points (lat, lon), degrees
 
@@ -67,6 +66,7 @@ def _is_passed(ends: Array, path: PlanPath) -> bool:
             continue
         velocity = path.at(t)[1]
         sine = velocity @ forward_normal(line) / np.maximum(np.linalg.norm(velocity, axis=1), 1e-6)
-        if float(np.median(sine)) > LEAST_SINE:
+        # of the angle between line and path, usually: 45 deg; laps cut a line that lies along them at 10
+        if float(np.median(sine)) > 0.7:
             return True
     return False

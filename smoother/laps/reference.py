@@ -17,7 +17,6 @@ from smoother.laps.results import ReferenceLine
 
 SPACING = 1.0  # m between points of the line
 SMOOTHED_OVER = 2.0  # m, one sigma: steps where lap ends were joined, not corners, which are longer
-CURVATURE_SMOOTHED_OVER = 4.0  # m, one sigma; the shortest corner of a kart track is 10 m long
 BENT = 0.9  # of the radius: farther inside a corner the projection is not unique
 
 
@@ -110,7 +109,8 @@ def line_through(points: Array, up: Array, is_closed: bool = True) -> ReferenceL
     tangent = tangent / step[:, None]
     turn = _difference(np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))[:, None], is_closed, is_angle=True)[:, 0]
     distance, length = _arc_length(points, is_closed)
-    curvature = gaussian_mean(turn / step, CURVATURE_SMOOTHED_OVER / SPACING, is_closed=is_closed)
+    # m, one sigma; the shortest corner of a kart track is 10 m long
+    curvature = gaussian_mean(turn / step, 4.0 / SPACING, is_closed=is_closed)
     return ReferenceLine(distance, points, tangent, curvature, up, length, is_closed)
 
 

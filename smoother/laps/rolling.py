@@ -19,9 +19,7 @@ from smoother.laps.theoretical import SAMPLES, SEED, SPREADS, slowed, spreads
 from smoother.trajectory import JointPosition
 
 BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
-PLACES = 24  # starting points of a lap; neighbouring ones are highly correlated
 ROUGH = 1e-6  # share of the variance of true times that is uncorrelated, against rounding errors
-MOST_WINDOWS = 144  # that may be the best; slower ones are not used
 
 
 @dataclass(frozen=True)
@@ -90,11 +88,13 @@ class _Windows:
 
 
 def _windows(laps: tuple[Lap, ...], traces: Traces) -> _Windows:
-    places = np.linspace(0, len(traces.distance) - 1, PLACES, endpoint=False).round().astype(np.int64)
+    # starting points of a lap; neighbouring ones are highly correlated
+    places = np.linspace(0, len(traces.distance) - 1, 24, endpoint=False).round().astype(np.int64)
     begins = np.array(_pairs(laps), dtype=np.int64)
     around = traces.t[np.ix_(begins + 1, places)] - traces.t[np.ix_(begins, places)]
     known = np.argwhere(np.isfinite(around))
-    quickest = known[np.argsort(around[known[:, 0], known[:, 1]], kind="stable")[:MOST_WINDOWS]]
+    # that may be the best; slower ones are not used
+    quickest = known[np.argsort(around[known[:, 0], known[:, 1]], kind="stable")[:144]]
     return _Windows(begins[quickest[:, 0]], places[quickest[:, 1]])
 
 

@@ -10,7 +10,6 @@ from smoother.laps.rolling import rolling_best
 from smoother.laps.theoretical import theoretical_best
 from smoother.trajectory import JointPosition
 
-TENTH = 0.1  # s
 ALIKE = 0.1  # s, plausible difference of two times of one lap
 SAME_LAP = 1.5  # s, largest difference between an official time and that of a lap
 
@@ -47,7 +46,7 @@ def statistics_of(
         mean=float(times.mean()) if len(times) else np.nan,
         median=float(np.median(times)) if len(times) else np.nan,
         spread=_spread(times[flying], sigmas[flying] if is_measured else np.zeros(np.count_nonzero(flying))),
-        within_tenth=int(np.count_nonzero(times <= times.min() + TENTH)) if len(times) else 0,
+        within_tenth=int(np.count_nonzero(times <= times.min() + 0.1)) if len(times) else 0,  # s
         counted=len(counting),
     )
 

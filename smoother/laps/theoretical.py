@@ -19,7 +19,6 @@ from smoother.laps.sigma import Crossed, time_covariance
 from smoother.laps.timing import forward_normal
 from smoother.trajectory import JointPosition
 
-MOST_CANDIDATES = 12  # laps that may contain a best sector; slower ones only contribute to the spread
 LEAST_SPREAD, MOST_SPREAD = 0.03, 30.0  # times that: range of the spread
 SPREADS, SAMPLES = (
     24,
@@ -63,7 +62,8 @@ def candidates(sector_time: Array) -> IntArray:
     """Return the laps of `sector_time` (L, S) s, all known, that may contain a best sector: all, of many the
     quickest."""
     rank = np.argsort(np.argsort(sector_time, axis=0, kind="stable"), axis=0).min(axis=1)
-    quickest = np.lexsort((sector_time.sum(axis=1), rank))[:MOST_CANDIDATES]
+    # laps that may contain a best sector; slower ones only contribute to the spread
+    quickest = np.lexsort((sector_time.sum(axis=1), rank))[:12]
     return np.sort(quickest)
 
 

@@ -9,7 +9,6 @@ from smoother.fit.plan_path import PlanPath
 from smoother.laps.follow import Followed
 from smoother.laps.results import FixPath, Line
 
-LONGEST_STEP = 2.5  # s between raw fixes that are connected
 BESIDE = 6.0  # m beyond the ends of a gate at which a passage counts without a known sigma: three of a GPS
 USUAL_WAY = 11.0  # m from the reference line: width of a track and wander of the GPS
 SAME_PLACE = 30.0  # m of track distance from that of the line: a line may be oblique, and laps may pass it wide
@@ -148,7 +147,8 @@ def raw_crossings(fixes: FixPath, line: Line, near: Array, within: float = 1.5) 
     NaN where there is none within `within` s or the fixes are too far apart.
     """
     beyond = past(line, fixes.position_n)
-    row = np.flatnonzero((beyond[:-1] < 0.0) & (beyond[1:] >= 0.0) & (np.diff(fixes.t) < LONGEST_STEP))
+    # s between raw fixes that are connected
+    row = np.flatnonzero((beyond[:-1] < 0.0) & (beyond[1:] >= 0.0) & (np.diff(fixes.t) < 2.5))
     if row.size == 0 or len(near) == 0:
         return np.full(len(near), np.nan)
     t = fixes.t[row] + np.diff(fixes.t)[row] * beyond[row] / (beyond[row] - beyond[row + 1])

@@ -15,9 +15,7 @@ from smoother.laps.results import LapAnalysis
 from smoother.trajectory import Trajectory
 
 SMOOTHED_OVER = 0.6  # s; a longer window flattens the peak before braking
-EQUAL_SIGMAS = 3.0  # below the reference peak, within which a peak may be as high
 SPREADS = 64  # values of the spread between peaks
-RELIABLE_SHARE = 0.1  # of a speed: a larger sigma, also larger than most, is an error of the fixes
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,8 @@ def reliable_rows(speed: Array, sigma: Array) -> BoolArray:
     if not np.isfinite(sigma).any():
         return np.ones(len(speed), dtype=np.bool_)
     with np.errstate(invalid="ignore"):
-        return np.asarray(sigma <= np.maximum(RELIABLE_SHARE * speed, 2.0 * float(np.nanmedian(sigma))))
+        # of a speed: a larger sigma, also larger than most, is an error of the fixes
+        return np.asarray(sigma <= np.maximum(0.1 * speed, 2.0 * float(np.nanmedian(sigma))))
 
 
 def smoothed_speed(speed: Array, t: Array) -> Array:
@@ -109,7 +108,8 @@ def _may_be_highest(speed: Array, sigma: Array) -> BoolArray:
         return known
     reference = int(np.argmax(np.where(known, speed - sigma, -np.inf)))
     with np.errstate(invalid="ignore"):
-        return np.asarray(known & (speed > speed[reference] - EQUAL_SIGMAS * sigma[reference]))
+        # below the reference peak, within which a peak may be as high
+        return np.asarray(known & (speed > speed[reference] - 3.0 * sigma[reference]))
 
 
 def _peaks(speed: Array, t: Array) -> IntArray:

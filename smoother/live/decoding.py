@@ -6,8 +6,6 @@ from smoother.live.receiver import Chunk
 from smoother.session.log_format import CRC_STRUCT, FRAME_HEAD, FRAME_SYNC, LogRecords, Setup
 from smoother.session.log_frames import Frame, decode_frames, find_frames
 
-RESTART_US = 2_000_000  # a frame this much older than the newest: the logger was switched off and on
-JUMP_US = 600_000_000  # ten minutes ahead in one step: likewise, with another clock, or a damaged stream
 _NUMBERS = 65536
 
 
@@ -83,7 +81,8 @@ class Decoder:
         runs: list[tuple[list[Frame], bool]] = []
         for frame in frames:
             last = self._last
-            restarted = last is not None and not -RESTART_US < frame.base_us - last.base_us < JUMP_US
+            # two seconds back or ten minutes ahead: the logger was switched off and on
+            restarted = last is not None and not -2_000_000 < frame.base_us - last.base_us < 600_000_000
             if last is not None and not restarted:
                 missing = (frame.number - last.number - 1) % _NUMBERS
                 if missing < _NUMBERS // 2:  # else it is a repetition

@@ -37,7 +37,6 @@ LAG = 4.0  # s; older keyframes are marginalised
 CONTEXT = 10.0  # s of earlier keyframes, used by the low-pass of the motion
 LONGEST_STEP = 1.0  # s without a fix, after which keyframes are added
 BIN = 0.04  # s, of the inertial samples between keyframes
-SAMPLES_KEPT = 2.0  # s before the newest keyframe, from which the rate of the samples is computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +196,8 @@ class FixedLag:
             self._state = predicted(self._state, measured, t[k], offset)
             self._preintegrated.append(measured)
         self._keyframes += steps
-        self._imu = [part for part in self._imu if part.t[-1] > self.t - SAMPLES_KEPT]
+        # s before the newest keyframe, from which the rate of the samples is computed
+        self._imu = [part for part in self._imu if part.t[-1] > self.t - 2.0]
 
     def _preintegrated_since(self) -> gtsam.PreintegratedCombinedMeasurements:
         """The preintegrated samples since the newest keyframe."""

@@ -24,7 +24,6 @@ from smoother.session.log_format import BLOCK_BYTES, CAPACITY, CRC_AT, CRC_STRUC
 
 FILE_NAME = "LIVE{:04d}.KLG"
 REWRITTEN = 1.0  # s of records whose blocks are written again as they fill
-MOST_KEPT = 60.0  # s of records that wait for room on a full disc
 ENDS_WITHIN = 10.0  # s, after which a hanging disc is given up
 MOST_WAITING = 4096  # lists of batches; minutes of a disc that hangs
 _SEQUENCE, _IMU_NUMBER = slice(8, 12), slice(20, 24)
@@ -59,7 +58,8 @@ class SessionWriter:
             self._began_us = newest
         filling = _joined([records] if self._filling is None else [self._filling, records])
         blocks = self._laid_out(filling)
-        self._filling = filling if newest - self._began_us < MOST_KEPT * 1e6 else None
+        # s of records that wait for room on a full disc
+        self._filling = filling if newest - self._began_us < 60.0 * 1e6 else None
         _write_all(self._open(), blocks, self._blocks * BLOCK_BYTES)
         self.bytes_written = self._blocks * BLOCK_BYTES + len(blocks)
         if newest - self._began_us > REWRITTEN * 1e6:

@@ -13,7 +13,6 @@ from smoother.samples import ImuSamples
 
 MOST_WAITING = 60.0  # s of waiting samples; older ones are dropped, and counted
 BEHIND = 5.0  # s of waiting samples, above which a source that can wait has to
-AT_ONCE = 100  # items passed together: four seconds of the usual stream, which fit into the pipe
 START_AGAIN = 5.0  # s after a process died
 
 
@@ -82,7 +81,8 @@ class RemoteNavigator:
             self._navigation, self._asked_at, self._answered_at = pipe.recv(), None, now
         is_due = self._waiting or self._is_new or now - self._answered_at > 0.1  # s between questions without new data
         if self._asked_at is None and is_due:
-            items = [self._waiting.popleft() for _ in range(min(AT_ONCE, len(self._waiting)))]
+            # items passed together: four seconds of the usual stream, which fit into the pipe
+            items = [self._waiting.popleft() for _ in range(min(100, len(self._waiting)))]
             pipe.send((items, self._arrival, self._is_new, self._flaw))
             self._is_new, self._flaw, self._asked_at = False, "", now
 

@@ -10,8 +10,6 @@ from smoother.live.frame import Frame
 from smoother.live.receiver import Chunk, LinkStatus, Receiver
 from smoother.live.recording import Recorder
 
-LONGEST_WAIT = 0.02  # s between polls of the receiver
-
 
 class View(Protocol):
     """Shows frames."""
@@ -50,7 +48,8 @@ def run(
     snapshot = Snapshot()
     while not stop():
         link = receiver.status
-        chunks = _received(receiver, engine, max(0.0, min(LONGEST_WAIT, due - time.monotonic())))
+        # s between polls of the receiver
+        chunks = _received(receiver, engine, max(0.0, min(0.02, due - time.monotonic())))
         snapshot, batches = engine.step(chunks)
         if recorder is not None and batches:
             recorder.add(batches)

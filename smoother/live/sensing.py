@@ -13,9 +13,7 @@ from smoother.session.log_format import MAG_OVERFLOW, LogRecords, Setup
 from smoother.session.nmea import fixes_from_sentences
 from smoother.units import DEG, STANDARD_GRAVITY
 
-EPOCH_OVER = 0.15  # s after its first sentence in which all sentences of a fix have come
 RATE_OVER = 2.0  # s
-MOST_PENDING = 64  # sentences; more than any receiver sends in a second
 
 
 @dataclass(frozen=True)
@@ -80,9 +78,11 @@ class FixAssembler:
             self._pending.append((t_us / TICKS_PER_SECOND, text))
             self._listen(t_us / TICKS_PER_SECOND, text)
             kinds = frozenset(_kind(other) for _, other in self._pending)
-            if (self._usual and kinds >= self._usual) or len(self._pending) > MOST_PENDING:
+            # sentences; more than any receiver sends in a second
+            if (self._usual and kinds >= self._usual) or len(self._pending) > 64:
                 fixes += self._flush()
-        if self._pending and now > self._pending[0][0] + EPOCH_OVER:
+        # s after its first sentence in which all sentences of a fix have come
+        if self._pending and now > self._pending[0][0] + 0.15:
             fixes += self._flush()
         return fixes
 

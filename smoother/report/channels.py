@@ -7,7 +7,6 @@ from smoother.samples import Channel
 
 LONGEST = 2.5  # usual steps between two values, beyond which there is a gap
 SLOWEST = 1.5  # s; shorter intervals are no gap in any channel
-FEW_VALUES = 12  # distinct values of a gear or a switch, which is not interpolated
 
 
 def channel_at(channel: Channel, t: Array) -> Array:
@@ -17,7 +16,8 @@ def channel_at(channel: Channel, t: Array) -> Array:
     steps = np.diff(channel.t)
     longest = max(LONGEST * median(steps), SLOWEST)
     after = np.clip(np.searchsorted(channel.t, t, side="right"), 1, len(channel.t) - 1)
-    is_step = np.unique(channel.values).size <= FEW_VALUES and np.all(channel.values == np.round(channel.values))
+    # distinct values of a gear or a switch, which is not interpolated
+    is_step = np.unique(channel.values).size <= 12 and np.all(channel.values == np.round(channel.values))
     values = channel.values[np.where(t >= channel.t[-1], after, after - 1)] if is_step else None
     values = np.interp(t, channel.t, channel.values) if values is None else values
     known = (steps[after - 1] <= longest) & (t >= channel.t[0]) & (t <= channel.t[-1])

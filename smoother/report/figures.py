@@ -27,18 +27,12 @@ from smoother.units import DEG, KMH, STANDARD_GRAVITY
 
 MAIN_FIGURE = "overview"
 Limits = tuple[float, float]  # of an axis, or of time
-CLOSE_UP = 10.0  # m from the middle of a close-up of the map to its nearest edge, at least
 CORNER_TIME = 4.0  # s that a close-up of a corner covers
 PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
 CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
-SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
 LEAST_SPEED = 2.0  # m/s; slower rows are not searched for a corner
 TYPICAL_OVER = 1.0  # s, over which a sigma that swings between keyframes is shown as one
-LITTLE_BEYOND = 1.5  # times a limit, up to which it rather widens than cuts
-WIDEST_BAND = 15.0  # deg, one sigma; beyond it a band of attitudes does not widen its axes
 CELLS = 75  # along each side of the g-g diagram
-MOSTLY = 0.25  # of the rows of an angle that are beside a jump across the half turn
-DOTS = 10  # for each point of a line, where an angle turns too fast for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +165,8 @@ def attitude(shown: Shown) -> Figure | None:
 def _with_band(shown: Shown, i: int) -> Array:
     """Roll (0) or pitch (1) of the smoother (N,) deg with both edges of its band, (3 N,)."""
     angle, sigmas = shown.smoothed.euler[:, i] / DEG, shown.smoothed.sigmas
-    sigma = np.zeros(len(angle)) if sigmas is None else np.minimum(sigmas.attitude[:, i] / DEG, WIDEST_BAND)
+    # deg, one sigma; beyond it a band of attitudes does not widen its axes
+    sigma = np.zeros(len(angle)) if sigmas is None else np.minimum(sigmas.attitude[:, i] / DEG, 15.0)
     return np.concatenate([angle, angle - 2.0 * sigma, angle + 2.0 * sigma])
 
 
@@ -379,7 +374,8 @@ def _draw_close_up(axes: Axes, whole: Axes, shown: Shown) -> None:
     t, (x, y) = shown.smoothed.t, _map(shown.smoothed)
     middle = float(t[_tightest(shown.smoothed)])
     corner = np.abs(t - middle) <= 0.5 * CORNER_TIME
-    x_limits, y_limits = (style.limits_around(line[corner], 0.15, least=2 * CLOSE_UP) for line in (x, y))
+    # a close-up is at least 20 m wide
+    x_limits, y_limits = (style.limits_around(line[corner], 0.15, least=20.0) for line in (x, y))
     _draw_tracks(axes, shown, 4.5, (x_limits, y_limits), (middle - 0.5 * PASS_TIME, middle + 0.5 * PASS_TIME))
     axes.set_title(f"Corner at {style.clock(middle - shown.start)}")
     style.outside_legend(axes)
@@ -408,7 +404,8 @@ def _tightest(trajectory: Trajectory) -> int:
     course_change = np.abs(np.arctan2(*_turn(before, after)))
     speed = np.hypot(here[:, 0], here[:, 1])
     driven = (
-        speed > SLOWEST_CORNER * np.median(speed[speed > LEAST_SPEED]) if np.any(speed > LEAST_SPEED) else speed < 0.0
+        # of the usual speed; the way into the pits is no corner
+        speed > 0.5 * np.median(speed[speed > LEAST_SPEED]) if np.any(speed > LEAST_SPEED) else speed < 0.0
     )
     turning = np.where(driven & np.isfinite(course_change), course_change, 0.0)
     return step + int(np.argmax(turning))
@@ -425,7 +422,8 @@ def _limit_of_most(values: Array) -> float:
     if not known.size:
         return 1.0
     limit, highest = 1.2 * float(np.percentile(known, 99.8)) + 0.05, float(np.max(known))
-    return max(limit, 1.05 * highest) if highest < LITTLE_BEYOND * limit else limit
+    # times a limit, up to which it rather widens than cuts
+    return max(limit, 1.05 * highest) if highest < 1.5 * limit else limit
 
 
 def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = None) -> None:
@@ -473,8 +471,10 @@ def _line(
     t, thin = style.thinned(trajectory.t[rows] - shown.start, values[rows], points=points)
     if wraps:
         broken = style.broken_at_wraps(thin)
-        if np.count_nonzero(np.isnan(broken)) > MOSTLY * len(thin):  # whole turns within a pixel
-            some = slice(None, None, max(1, len(values[rows]) // (DOTS * points)))
+        # of the rows of an angle that are beside a jump across the half turn
+        if np.count_nonzero(np.isnan(broken)) > 0.25 * len(thin):  # whole turns within a pixel
+            # for each point of a line, where an angle turns too fast for one
+            some = slice(None, None, max(1, len(values[rows]) // (10 * points)))
             t, thin, line = trajectory.t[rows][some] - shown.start, values[rows][some], ","
         else:
             thin = broken

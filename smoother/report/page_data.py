@@ -26,7 +26,6 @@ MOST_RATE = 20.0  # Hz of any trace
 FIX_RATE = 4.0  # Hz of what is shown of fixes, the worst of each bin
 WITHOUT_LAPS = 60.0  # s around the top speed, compared with the baseline where there is no lap
 MOST_DRAWN = 300  # laps, five hours of them; a page with a day's would take a browser minutes to open
-MOST_ROWS = 150_000  # of the whole session where it has no laps, four hours at their usual rate
 MOST_SLOW = 60_000  # of what is drawn of quality over time, likewise
 SHADES = 16
 MOST_CHANNELS = 12  # of the logger that are drawn below one another
@@ -281,7 +280,8 @@ def _thin_rows(t: Array, rate: float, most: int) -> np.ndarray:
 
 def _whole_session(numbers: Numbers) -> Document:
     smoothed = numbers.smoothed
-    rows = _thin_rows(smoothed.t, 0.5 * MOST_RATE, MOST_ROWS)
+    # of the whole session where it has no laps, four hours at their usual rate
+    rows = _thin_rows(smoothed.t, 0.5 * MOST_RATE, 150_000)
     acceleration = level_acceleration(smoothed)[rows]
     x, y = places(smoothed, numbers.middle, smoothed.t[rows])
     named = {

@@ -49,10 +49,7 @@ STYLE: Any = {  # matplotlib types every key of it by name
     "lines.linewidth": 1.2,
     "figure.facecolor": "white",
 }
-HEADING = 13.0  # points
-LETTER = 0.6  # of its size that a letter of a heading is wide, on average
 DOTS_PER_INCH = 110
-COMPRESSION = 2  # of PNG; 6 costs twice the time for a tenth of the size
 _TICK_STEPS = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)  # s
 SHADES = 48  # of a coloured line; more are not distinguishable
 _DECADES = range(-8, 6)
@@ -78,7 +75,8 @@ def new_figure(title: str, width: float = 12.0, height: float = 7.2, *, is_laid_
     """
     figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained" if is_laid_out else None)
     y = {} if is_laid_out else {"y": 1.0 - 0.1 / height, "va": "top"}
-    size = min(HEADING, 72.0 * (width - 0.3) / (LETTER * max(len(title), 1)))  # a long name in smaller letters
+    # 13 points, or fewer for a long name: a letter is 0.6 of its size wide on average
+    size = min(13.0, 72.0 * (width - 0.3) / (0.6 * max(len(title), 1)))
     heading = figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight="bold", color=INK, **y)
     heading.set_parse_math(False)  # a session may be called $1$
     return figure
@@ -123,7 +121,8 @@ def save(figure: Figure, path: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     drawn = Image.fromarray(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call]
-    drawn.convert("RGB").save(path, format="png", compress_level=COMPRESSION, dpi=(figure.dpi, figure.dpi))
+    # of PNG; 6 costs twice the time for a tenth of the size
+    drawn.convert("RGB").save(path, format="png", compress_level=2, dpi=(figure.dpi, figure.dpi))
 
 
 def _align_labels(figure: Figure) -> None:

@@ -17,7 +17,6 @@ from smoother.units import DEG
 
 Document = dict[str, object]
 
-NEAR_FIX = 30.0  # s, within which a row counts in what is typical; a longer outage than a minute does not
 # reported only if identified; most loggers have none
 ONLY_IF_IDENTIFIED = (
     "gps_velocity_response",
@@ -148,7 +147,8 @@ def _median_sigmas(session: Session, estimate: Trajectory) -> Document | None:
     sigmas = estimate.sigmas
     if sigmas is None:
         return None
-    near = are_near(estimate.t, session.gnss.t, NEAR_FIX)
+    # s, within which a row counts in what is typical; a longer outage than a minute does not
+    near = are_near(estimate.t, session.gnss.t, 30.0)
     rows = slice(None) if near.all() or not near.any() else near
     position_n, attitude = sigmas.position_n[rows], sigmas.attitude[rows]
     roll, pitch, yaw = (_median(np.degrees(attitude[:, i])) for i in range(3))

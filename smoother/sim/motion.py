@@ -20,8 +20,6 @@ from smoother.units import DEG, STANDARD_GRAVITY
 _STEP = 0.02  # s between control points: the truth holds motion up to about 15 Hz
 _PLAN_STEP = 1.0  # m between nodes of the speed plan
 MARGIN = 5.0  # s of truth before the first and after the last sample, for latencies and filters
-_LAUNCH_MARGIN = 1.0  # s; smoothing and slip lead move the kart up to 0.9 s before the plan
-_SPEED_SMOOTHING = 0.12  # s; foot and hand are not faster (jerk below about 60 m/s^3)
 
 
 @dataclass(frozen=True)
@@ -165,7 +163,8 @@ def _speed_over_time(path: _Path, motion: Motion, time: Array) -> Array:
     """Speed along the path (N,) m/s at `time` (N,) s, smoothed as hand and foot are slow."""
     if not motion.driving:
         return np.zeros_like(time)
-    launch = time[0] if motion.standstill is None else motion.standstill + _LAUNCH_MARGIN
+    # s; smoothing and slip lead move the kart up to 0.9 s before the plan
+    launch = time[0] if motion.standstill is None else motion.standstill + 1.0
     waits = np.zeros(len(path.length))
     speed, reached = _speed_over_path(path, motion, waits)
     for stop in sorted(motion.stops, key=lambda stop: stop.time):
@@ -178,7 +177,8 @@ def _speed_over_time(path: _Path, motion: Motion, time: Array) -> Array:
     at_node = np.flatnonzero(waits)
     knots = np.insert(arrival, at_node + 1, arrival[at_node] + waits[at_node])
     planned = np.interp(time, knots, np.insert(speed, at_node + 1, 0.0))
-    return np.asarray(gaussian_filter1d(planned, _SPEED_SMOOTHING / _STEP, mode="nearest"))
+    # s; foot and hand are not faster (jerk below about 60 m/s^3)
+    return np.asarray(gaussian_filter1d(planned, 0.12 / _STEP, mode="nearest"))
 
 
 def _speed_over_path(path: _Path, motion: Motion, waits: Array) -> tuple[Array, Array]:

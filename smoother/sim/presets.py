@@ -16,7 +16,6 @@ from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, Jump, MagErro
 from smoother.units import DEG, MILLISECOND, STANDARD_GRAVITY
 
 Range = tuple[float, float]
-_EARTH_FIELD = 50.0  # uT, to size the iron; the field itself comes from the World Magnetic Model
 _SIDES = 2.0 * np.pi
 
 
@@ -162,7 +161,8 @@ def _draw_mag(figures: Figures, rng: np.random.Generator) -> MagErrors:
     direction = rng.standard_normal(3)
     return MagErrors(
         noise=figures["mag_noise"],
-        hard_iron_s=_signed((0.0, figures["hard_iron"] * _EARTH_FIELD), rng, 3),
+        # uT, to size the iron; the field itself comes from the World Magnetic Model
+        hard_iron_s=_signed((0.0, figures["hard_iron"] * 50.0), rng, 3),
         soft_iron=np.eye(3) + 0.5 * (distortion + distortion.T),  # soft iron is symmetric
         engine_disturbance=figures["engine_disturbance"],
         calibration_points=figures["mag_calibration_points"],

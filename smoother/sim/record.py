@@ -22,7 +22,6 @@ from smoother.units import DEG, KNOT, MILLISECOND
 _TIME_DECIMALS = 6
 _DEGREE_DECIMALS = 10  # of latitude and longitude: 0.01 mm
 _TRUTH_CHUNK = 200_000  # rows evaluated at once
-_COUNT = 0.15  # uT per count of the AK8963
 _INT16 = (-32768, 32767)
 NMEA_BLOCK = 96  # bytes of the receiver's buffer in out.txt for each sentence, of which none is longer than 82
 
@@ -329,7 +328,7 @@ def _gps_blocks(mag: RawMag | None, fixes: GnssFixes, sentences: Sequence[str]) 
 
 
 def _mag_triples(field: Array) -> list[bytes]:
-    counts = _counts(field / _COUNT)
+    counts = _counts(field / 0.15)  # uT per count of the AK8963
     return [thesis.MAG_STRUCT.pack(my, mx, -mz) for mx, my, mz in np.maximum(counts, -32767).tolist()]
 
 

@@ -19,7 +19,6 @@ from smoother.units import DEG
 
 _DEGREE = 5
 _CONTROL_SPACING = 4.0  # m; the spline turns the step of curvature at an arc's end into a ramp of about 10 m
-_TABLE_SPACING = 0.25  # m, of the table that turns distance into the spline's parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +104,8 @@ class Track:
     @cached_property
     def _distance_table(self) -> tuple[Array, Array]:
         spans = len(_rounded_polygon(self.corners, self.start_fraction))
-        u = np.linspace(0.0, spans, int(spans * _CONTROL_SPACING / _TABLE_SPACING) + 1)
+        # m, of the table that turns distance into the spline's parameter
+        u = np.linspace(0.0, spans, int(spans * _CONTROL_SPACING / 0.25) + 1)
         nodes, weights = np.polynomial.legendre.leggauss(3)
         step = u[1] - u[0]
         inner = u[:-1, None] + 0.5 * step * (nodes + 1.0)
