@@ -24,6 +24,7 @@ from smoother.session.log_format import BLOCK_BYTES, CAPACITY, CRC_AT, CRC_STRUC
 
 FILE_NAME = "LIVE{:04d}.KLG"
 REWRITTEN = 1.0  # s of records whose blocks are written again as they fill
+SYNC_EVERY = 1.0  # s; at most this is lost when the computer fails
 ENDS_WITHIN = 10.0  # s, after which a hanging disc is given up
 MOST_WAITING = 4096  # lists of batches; minutes of a disc that hangs
 _SEQUENCE, _IMU_NUMBER = slice(8, 12), slice(20, 24)
@@ -154,7 +155,7 @@ class Recorder:
         while (batches := self._batches.get()) is not None:
             for batch in batches:
                 self._attempt(self._write, batch)
-            if time.monotonic() - self._synced_at > 1.0:  # s; at most this is lost when the computer fails
+            if time.monotonic() - self._synced_at > SYNC_EVERY:
                 self._attempt(self._writer.sync)
                 self._synced_at = time.monotonic()
             self._batches.task_done()
