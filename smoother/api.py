@@ -92,7 +92,7 @@ def prepared(raw: RawSession, calibration: Path | None = None, *, even_times: bo
     replace stamps as the readers of files do: samples by an even clock, fixes by the receiver's own times.
     Raises SessionError without two usable fixes, ConfigError for a calibration.toml that is wrong.
     """
-    from smoother.estimate.initial.units import in_known_units
+    from smoother.estimate.initial.align import in_known_units
     from smoother.prepare import prepare
 
     return prepare(in_known_units(_with_even_times(raw) if even_times else raw), calibration)

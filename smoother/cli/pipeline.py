@@ -124,7 +124,7 @@ def naming(path: Path) -> Iterator[None]:
 
 def read(path: Path) -> RawSession:
     """Read a session. Raises SmootherError in one line with file and remedy, also for a folder of results."""
-    from smoother.estimate.initial.units import in_known_units
+    from smoother.estimate.initial.align import in_known_units
     from smoother.session.load import load_raw
 
     require_recording(path)

@@ -6,9 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.estimate.initial.compass import Compass
-from smoother.estimate.initial.guess import Start, informed, problem_of
+from smoother.estimate.initial.guess import (
+    Start,
+    busiest_part,
+    informed,
+    is_partly_sampled,
+    longest_sampled,
+    problem_of,
+)
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.initial.parts import busiest_part, is_partly_sampled, longest_sampled
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import HOLE
 from smoother.estimate.output.estimated import Estimated, estimated, known_from

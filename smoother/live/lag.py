@@ -17,16 +17,15 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.factors.gaussian import columns_of
+from smoother.estimate.factors.gnss import arm_axes
 from smoother.estimate.factors.graph import MAX_LATENCY, Measurements, Priors
-from smoother.estimate.factors.imu import imu_factors
-from smoother.estimate.factors.position import arm_axes
+from smoother.estimate.factors.imu import imu_factors, preintegrate, preintegration_parameters
 from smoother.estimate.factors.rows import Between
 from smoother.estimate.model.imu import bin_imu
 from smoother.estimate.model.noise import InertialNoise, Noise
-from smoother.estimate.model.preintegration import preintegrate, preintegration_parameters
 from smoother.estimate.model.state import State
 from smoother.estimate.output.dense_rows import without_noise
-from smoother.estimate.output.uncertainty import antenna_covariance
+from smoother.estimate.output.estimated import antenna_covariance
 from smoother.estimate.solvers.batch import Step, step
 from smoother.estimate.solvers.covariance import Covariances
 from smoother.estimate.solvers.identify import FREE

@@ -13,4 +13,4 @@ def test_chains_are_solved_by_gtsam_in_one_place() -> None:
         for path in PACKAGE.rglob("*.py")
         if SOLVES_CHAINS.search(path.read_text(encoding="utf-8"))
     }
-    assert found == {"estimate/solvers/linear.py"}
+    assert found == {"estimate/solvers/batch.py"}

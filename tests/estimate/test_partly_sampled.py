@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.initial.guess import Start, make_start
-from smoother.estimate.initial.parts import is_partly_sampled
+from smoother.estimate.initial.guess import Start, is_partly_sampled, make_start
 from smoother.estimate.output import windows
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare

@@ -16,9 +16,8 @@ from smoother import api, so3
 from smoother.arrays import Array
 from smoother.estimate.factors.gaussian import columns_of
 from smoother.estimate.factors.graph import MAX_LATENCY, Graph, build_graph
-from smoother.estimate.factors.imu import imu_factors
+from smoother.estimate.factors.imu import imu_factors, preintegration_parameters
 from smoother.estimate.model.imu import BinnedImu
-from smoother.estimate.model.preintegration import preintegration_parameters
 from smoother.estimate.model.state import CONSTANTS_SIZE, KEYFRAME_SIZE, OFFSET, State, vector_values
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.solve import Solved

@@ -15,19 +15,15 @@ from gtsam.symbol_shorthand import B, V, X
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import UsageError
 from smoother.estimate.factors.constraints import ground_rows, heading_rows, standstill_rows
-from smoother.estimate.factors.doppler import velocity_rows
-from smoother.estimate.factors.imu import imu_factors
+from smoother.estimate.factors.gnss import offset_rows, offset_start_rows, position_rows, velocity_rows
+from smoother.estimate.factors.imu import imu_factors, preintegrate
 from smoother.estimate.factors.motion_prior import Unsampled, motion_prior_rows
-from smoother.estimate.factors.position import offset_rows, offset_start_rows, position_rows
 from smoother.estimate.factors.rows import Rows, robust, with_sigma
-from smoother.estimate.factors.wheel_speed import USUAL as USUAL_WHEEL_SPEED
-from smoother.estimate.factors.wheel_speed import wheel_speed_rows
-from smoother.estimate.factors.wheels import slip_of, slip_rows
+from smoother.estimate.factors.wheels import USUAL_WHEEL_SPEED, slip_of, slip_rows, wheel_speed_rows
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import BinnedImu, shaken
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.preintegration import preintegrate
 from smoother.estimate.model.state import CONSTANTS, KEYS, State
 from smoother.samples import WheelSpeed
 

@@ -1,9 +1,9 @@
-"""GTSAM's CombinedImuFactor over each interval, with columns for scale and misalignment of the sensors.
+"""GTSAM's preintegration of the bins and its CombinedImuFactor over each interval, with columns for scale and
+misalignment of the sensors.
 
-GTSAM preintegrates and linearises. An error in proportion to force or rate acts like a bias in proportion to it, so its
-Jacobian is that of both biases of a factor times force or rate. These are the keyframes' own: the measured ones hold
-the noise that is in the residual too (errors in variables, see model/motion.py).
-"""
+An error in proportion to force or rate acts like a bias in proportion to it, so its Jacobian is that of both biases of
+a factor times force or rate. These are the keyframes' own: the measured ones hold the noise that is in the residual too
+(errors in variables, see model/motion.py)."""
 
 from collections.abc import Sequence
 
@@ -14,8 +14,11 @@ from gtsam.symbol_shorthand import B, V, X
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.factors.rows import Rows
+from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.model.noise import InertialNoise, shared_densities
 from smoother.estimate.model.state import State
 from smoother.frames import GRAVITY_N
+from smoother.units import STANDARD_GRAVITY
 
 # where GTSAM has the columns of a factor, X V X V B B, in the order of the tangents of both keyframes
 _SIDES = (
@@ -71,3 +74,37 @@ def _force_and_rate(state: State) -> tuple[Array, Array]:
     force_n = np.diff(state.velocity_n, axis=0) / T - GRAVITY_N
     force_s = np.einsum("kji,kj->ki", R @ so3.exp(0.5 * turn), force_n)
     return force_s @ axes[:2].T, turn @ axes[2] / T
+
+
+def preintegrate(
+    binned: BinnedImu, noise: InertialNoise, accel_bias: Array, gyro_bias: Array
+) -> list[gtsam.PreintegratedCombinedMeasurements]:
+    """Preintegrate the K-1 intervals about biases (3,), m/s^2 and rad/s."""
+    n_bins, dt = binned.n_bins, binned.dt
+    densities = zip(*(values.tolist() for values in shared_densities(binned, noise)), strict=True)
+    bias = gtsam.imuBias.ConstantBias(accel_bias, gyro_bias)
+    forces, rates = list(binned.specific_force_s.reshape(-1, 3)), list(binned.angular_rate_s.reshape(-1, 3))
+    params: dict[tuple[float, float], gtsam.PreintegrationCombinedParams] = {}
+    out, first = [], 0
+    for density in densities:
+        if density not in params:
+            params[density] = preintegration_parameters(density[0], density[1], noise)
+        measured = gtsam.PreintegratedCombinedMeasurements(params[density], bias)
+        integrate = measured.integrateMeasurement
+        for i in range(first, first + n_bins):
+            integrate(forces[i], rates[i], dt)
+        first += n_bins
+        out.append(measured)
+    return out
+
+
+def preintegration_parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:
+    """Return GTSAM's parameters for densities of force and rate, with shapes and walks of `noise`."""
+    params = gtsam.PreintegrationCombinedParams.MakeSharedU(STANDARD_GRAVITY)
+    eye = np.eye(3)
+    params.setAccelerometerCovariance(np.array(noise.accel_shape) * accel**2)
+    params.setGyroscopeCovariance(np.array(noise.gyro_shape) * gyro**2)
+    params.setIntegrationCovariance(eye * 1e-8)  # the bins integrate the samples to this, m^2/s
+    params.setBiasAccCovariance(eye * noise.accel_bias_walk**2)
+    params.setBiasOmegaCovariance(eye * noise.gyro_bias_walk**2)
+    return params

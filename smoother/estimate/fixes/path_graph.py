@@ -14,8 +14,8 @@ from smoother.estimate.factors.gaussian import columns_of
 from smoother.estimate.factors.rows import Rows, along_direction, rows_of, speeds_alone
 from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE
+from smoother.estimate.solvers.batch import solve_rows
 from smoother.estimate.solvers.covariance import Chain, Covariances
-from smoother.estimate.solvers.linear import solve_rows
 
 NODE_SIZE = 12
 POSITION, VELOCITY, ACCELERATION, OFFSET = (slice(3 * i, 3 * i + 3) for i in range(4))

@@ -10,19 +10,21 @@ is the path's acceleration plus g upwards. Both are linear in what the box measu
 and a least-squares fit over the whole session averages vibration away. The slopes are directions of the kart's axes in
 the box: together they give the mounting by Wahba's problem, the intercept of the first line is the gyro bias, even one
 of 60 deg/s. Repeating the fit at shifted times tells how far the fixes lag. A kart at rest, or one that never turns,
-leaves less; then gravity alone levels, and what is unknown is said.
+leaves less; then gravity alone levels, and a problem reports the rest. Gains of a known unit convert a gyroscope; with
+any other factor the sensor is not used.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
+from smoother.estimate.fixes.screen import has_velocities
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
 from smoother.estimate.preprocess.gains import Gains
-from smoother.estimate.preprocess.path_motion import (
+from smoother.estimate.preprocess.streams import (
     LAGS,
     MIN_SPEED,
     WINDOW,
@@ -36,8 +38,8 @@ from smoother.estimate.preprocess.path_motion import (
     thinned,
 )
 from smoother.frames import rotation_from_euler, wrap_angle
-from smoother.samples import ImuSamples, Problem
-from smoother.units import STANDARD_GRAVITY
+from smoother.samples import GnssFixes, ImuSamples, Problem, RawImu, RawSession
+from smoother.units import DEG, STANDARD_GRAVITY
 
 # fixes at speed from which on they tell how the box lies; and those that a parked kart's noise does not make up
 FEWEST_AT_SPEED, SOME_AT_SPEED = 30, 10
@@ -269,3 +271,58 @@ def _smoothed(t: Array, times: Array, values: Array, width: float) -> Array:
     empty = i >= j
     mean = (cumulative[j] - cumulative[i]) / np.maximum(j - i, 1)
     return np.where(empty, np.interp(t, times, values), mean)
+
+
+ENOUGH_SAMPLES = 1 << 20  # samples from the beginning, an hour and a half at 200 Hz
+LIKELY_TURN = (0.5, 2.0)  # of the course; boxes of karts and cars have 0.85 to 1.02
+LIKELY_FORCE = (0.75, 1.4)  # of gravity; likewise 0.95 to 1.07
+SAME_UNIT = 0.2  # share; the nearest two units are many times apart
+TURN_UNITS = {  # how many times too fast
+    "with deg/s where rad/s belong": 1.0 / DEG,
+    "with rad/s where deg/s belong": DEG,
+    "with thousandths of a rad/s": 1e3,
+}
+
+
+def in_known_units(raw: RawSession) -> RawSession:
+    """Return the session with a gyroscope in rad/s, or without a motion sensor that is off by another factor.
+
+    Its problems report either. Where the path does not explain force and rate, the session is as it was.
+    """
+    found = None if raw.imu is None else aligned(raw.imu, raw.gnss)
+    if raw.imu is None or found is None or found.gains is None:
+        return raw
+    force, turn = found.gains.force_scale, found.gains.turn_scale
+    if force < LIKELY_FORCE[0] or force > LIKELY_FORCE[1]:
+        return _without_imu(raw, f"the sensor measures {force:.3g} times gravity; are ax, ay, az in m/s^2?")
+    if not (turn < LIKELY_TURN[0] or turn > LIKELY_TURN[1]):  # NaN: not explained
+        return raw
+    text = f"the turn rates are {turn:.3g} times that of the course of the fixes"
+    unit = next((name for name, size in TURN_UNITS.items() if abs(turn / size - 1.0) < SAME_UNIT), None)
+    if unit is None:
+        return _without_imu(raw, f"{text}; are gx, gy, gz in rad/s?")
+    slower = _turning_slower(raw.imu, TURN_UNITS[unit])
+    return replace(raw, imu=slower, problems=(*raw.problems, Problem("imu_gyro_unit", f"{text}, as {unit}; converted")))
+
+
+def aligned(imu: RawImu, fixes: GnssFixes) -> Alignment | None:
+    """Return how the box lies in the kart by the first ENOUGH_SAMPLES samples, None without velocities."""
+    driven = has_velocities(fixes.velocity_n)
+    if len(imu.t) < 2 or not driven.any():
+        return None
+    return align(beginning(imu), PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
+
+
+def beginning(imu: RawImu, most: int = ENOUGH_SAMPLES) -> ImuSamples:
+    """Return the first samples, `most` of them, as if calibrated."""
+    return ImuSamples(imu.t[:most], imu.accel[:most] * imu.accel_scale, imu.gyro[:most] * imu.gyro_scale)
+
+
+def _turning_slower(imu: RawImu, times: float) -> RawImu:
+    full_scale = None if imu.gyro_full_scale is None else imu.gyro_full_scale / times
+    return replace(imu, gyro_scale=imu.gyro_scale / times, gyro_full_scale=full_scale)
+
+
+def _without_imu(raw: RawSession, reason: str) -> RawSession:
+    problem = Problem("imu_implausible", f"{reason}: smoothed from GPS alone")
+    return replace(raw, imu=None, problems=(*raw.problems, problem))

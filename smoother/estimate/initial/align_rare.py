@@ -22,7 +22,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray, median
-from smoother.estimate.preprocess.path_motion import (
+from smoother.estimate.preprocess.streams import (
     LAGS,
     MIN_SPEED,
     Averages,

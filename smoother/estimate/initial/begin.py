@@ -9,9 +9,15 @@ from smoother.estimate.initial.guess import Start, make_start
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Step, fit_drift, fit_step, placed
 from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, in_step
-from smoother.estimate.preprocess.path_motion import averages_of, sampled_at_speed
 from smoother.estimate.preprocess.pauses import closed_up, pauses_of
-from smoother.estimate.preprocess.streams import STRETCH, Measured, Streams, compare_streams
+from smoother.estimate.preprocess.streams import (
+    STRETCH,
+    Measured,
+    Streams,
+    averages_of,
+    compare_streams,
+    sampled_at_speed,
+)
 from smoother.samples import Problem, Session
 
 BARELY = 0.3  # sigmas, from which on a corrected drift is corrected again

@@ -1,4 +1,5 @@
-"""What is known before the first solve: a path through the fixes, attitudes, keyframes, bins, noise and priors."""
+"""What is known before the first solve: a path through the fixes, attitudes, keyframes, bins, noise and priors; and
+parts of it."""
 
 import math
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from smoother.config import ImuNoise
 from smoother.estimate.factors.constraints import far_from_heights
 from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, readings_inside, table_without
 from smoother.estimate.factors.motion_prior import Unsampled
-from smoother.estimate.factors.wheel_speed import readings_of
+from smoother.estimate.factors.wheels import readings_of
 from smoother.estimate.fixes.claims import claims_of, receiver_share
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.fixes.pieces import fit_path
@@ -22,9 +23,9 @@ from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.imu import BinnedImu, are_sampled, bin_imu, halved, has_hole, sampled_spans
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
-from smoother.estimate.preprocess.on_wheel import is_on_wheel, without_the_wheels
-from smoother.estimate.preprocess.path_motion import MIN_SPEED, PathMotion, near_reported
+from smoother.estimate.preprocess.gains import is_on_wheel, without_the_wheels
 from smoother.estimate.preprocess.pauses import NO_PAUSES, Pauses
+from smoother.estimate.preprocess.streams import MIN_SPEED, PathMotion, near_reported
 from smoother.estimate.solvers.identify import Problem
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.fit.standstill import confirmed_at_rest, session_standstill
@@ -39,7 +40,7 @@ class Start:
     """All that is known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
 
     receiver: how the reported accuracy compares with the population's, at most 1. stated: densities of the settings,
-    which are not estimated. spans (S, 2) s: from when to when there are samples, see model/sampled.py. wheels: whether
+    which are not estimated. spans (S, 2) s: from when to when there are samples, see model/imu.py. wheels: whether
     the factor of the wheels joins where they roll. table: of factors. pauses: where time is cut out of the session.
     """
 
@@ -290,3 +291,50 @@ def busiest_span(driven: PathMotion, spans: Array, span: float) -> tuple[float, 
 def have_samples(spans: Array, t: Array) -> BoolArray:
     """Mask (N,) of the fixes at t (N,) s that samples of the spans (S, 2) s go with, whatever their latency."""
     return are_sampled(spans, t - MAX_LATENCY, t)
+
+
+def busiest_part(start: Start, span: float) -> Start:
+    """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer.
+
+    What was driven is known of the whole session, of which a start may be a stretch already.
+    """
+    t, driven = start.state.t, start.driven
+    inside = (driven.t >= t[0]) & (driven.t <= t[-1])
+    if not np.any(inside):
+        return start
+    is_reported = None if driven.is_reported is None else driven.is_reported[inside]
+    driven = replace(driven, t=driven.t[inside], velocity_n=driven.velocity_n[inside], is_reported=is_reported)
+    begin, end = busiest_span(driven, start.spans, span)
+    if end == driven.t[-1]:
+        return start
+    first, last = np.searchsorted(t, [begin - MAX_LATENCY, end])
+    return stretch(start, int(first), min(int(last), len(t) - 1))
+
+
+def is_partly_sampled(start: Start) -> bool:
+    """Whether some of the fixes have no samples, and must not tell the constants."""
+    return has_hole(start.spans, start.data.t[0], start.data.t[-1])
+
+
+def longest_sampled(start: Start) -> Start:
+    """Return the longest stretch of the start that has samples throughout; the start itself where all of it has."""
+    if not is_partly_sampled(start):
+        return start
+    t = start.state.t
+    inside = np.clip(start.spans, t[0], t[-1])
+    begin, end = inside[np.argmax(np.diff(inside, axis=1)[:, 0])]
+    first, last = np.searchsorted(t, [begin, end])
+    part = stretch(start, max(int(first) - 1, 0), min(int(last), len(t) - 1))
+    return replace(part, data=part.data.of(have_samples(start.spans, part.data.t)))
+
+
+def fixes_between(start: Start, first: int, last: int) -> BoolArray:
+    """Mask (N,) of the fixes that are read between the keyframes first and last, whatever their latency."""
+    return start.data.are_between(start.state.t, first, last + 1)
+
+
+def stretch(start: Start, first: int, last: int) -> Start:
+    """Return the start of the keyframes first .. last alone."""
+    data = start.data.between(start.state.t, first, last + 1)
+    state, binned = start.state.part(slice(first, last + 1)), start.binned.between(first, last + 1)
+    return replace(start, state=state, data=data, binned=binned)

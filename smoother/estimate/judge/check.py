@@ -11,8 +11,8 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, are_near
 from smoother.disc import pieces, release
-from smoother.estimate.initial.units import aligned, beginning
-from smoother.estimate.preprocess.on_wheel import is_on_wheel, without_the_wheels
+from smoother.estimate.initial.align import aligned, beginning
+from smoother.estimate.preprocess.gains import is_on_wheel, without_the_wheels
 from smoother.fit.running import running_mean
 from smoother.samples import (
     DEAD_AXES,

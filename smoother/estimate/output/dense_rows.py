@@ -8,7 +8,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.disc import even_pieces, roomy
-from smoother.estimate.factors.position import arm_axes
+from smoother.estimate.factors.gnss import arm_axes
 from smoother.estimate.factors.rows import Between
 from smoother.estimate.model.imu import BinnedImu, DensePath, at_times, corrected, dense_path, motion_at
 from smoother.estimate.model.motion import course_of

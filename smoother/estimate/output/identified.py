@@ -13,7 +13,7 @@ from smoother.estimate.model.heading import ANY_HARD_IRON, ANY_IRON, Heading
 from smoother.estimate.model.state import COLUMNS, CONSTANTS, Constant
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.mounting import FittedMounting
-from smoother.estimate.output.noise_uncertainty import ANY_SLIP
+from smoother.estimate.output.residuals import ANY_SLIP
 from smoother.estimate.solvers.variance_components import SMALLEST_POSITION
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling

@@ -14,7 +14,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, median
 from smoother.disc import Shelf, release
-from smoother.estimate.factors.position import arm_axes
+from smoother.estimate.factors.gnss import arm_axes
 from smoother.estimate.factors.rows import Between, no_jacobian
 from smoother.estimate.fixes.slow_errors import DOPPLER, SlowErrors
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, State

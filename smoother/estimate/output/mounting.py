@@ -16,7 +16,7 @@ from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
 from smoother.estimate.model.imu import are_observed
 from smoother.estimate.model.state import State
-from smoother.estimate.preprocess.path_motion import MIN_SPEED
+from smoother.estimate.preprocess.streams import MIN_SPEED
 from smoother.fit.running import gaussian_mean
 from smoother.frames import wrap_angle
 from smoother.trajectory import Keyframes

@@ -28,7 +28,7 @@ from smoother.estimate.fixes.offset import ANYWHERE, BIN, FEWEST, Drift, log_lik
 from smoother.estimate.fixes.slow_errors import DOPPLER, SlowErrors, SlowVelocity
 from smoother.estimate.model.state import State
 from smoother.estimate.output.resample import bracket, hermite, hermite_slope
-from smoother.estimate.solvers.linear import solve_rows
+from smoother.estimate.solvers.batch import solve_rows
 
 WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is
 SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from none to what is larger than receivers'

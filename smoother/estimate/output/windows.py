@@ -20,13 +20,11 @@ from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.disc import roomy, settle
 from smoother.estimate.factors.rows import Rows
-from smoother.estimate.initial.guess import Start
-from smoother.estimate.initial.parts import fixes_between, stretch
+from smoother.estimate.initial.guess import Start, fixes_between, stretch
 from smoother.estimate.model.state import State
-from smoother.estimate.output.estimated import Estimated, Known, rows_after
+from smoother.estimate.output.estimated import Estimated, Known, Uncertainty, rows_after, uncertainty_of
 from smoother.estimate.output.joint import WindowPositions, WindowsJoint, window_positions
-from smoother.estimate.output.residual_statistics import inertial_statistics, joined
-from smoother.estimate.output.uncertainty import Uncertainty, uncertainty_of
+from smoother.estimate.output.residuals import inertial_statistics, joined
 from smoother.estimate.solvers.identify import Solution
 from smoother.trajectory import ResidualStatistics
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smoother.estimate.factors.wheel_speed import AVERAGED, EVERY, SLOWEST, readings_of
+from smoother.estimate.factors.wheels import AVERAGED, EVERY, SLOWEST, readings_of
 from smoother.samples import WheelSpeed
 
 

@@ -6,7 +6,7 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
-from smoother.estimate.preprocess.path_motion import PathMotion
+from smoother.estimate.preprocess.streams import PathMotion
 from smoother.frames import euler_from_rotation, rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive

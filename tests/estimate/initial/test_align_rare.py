@@ -9,7 +9,7 @@ from smoother import so3
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare
 from smoother.estimate.output.problems import LEAST_EXPLAINED_OF_CHANGES
-from smoother.estimate.preprocess.path_motion import PathMotion
+from smoother.estimate.preprocess.streams import PathMotion
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive
 from smoother.sim.scenario import ImuErrors

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smoother.estimate.initial.units import in_known_units
+from smoother.estimate.initial.align import in_known_units
 from smoother.samples import RawSession
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from smoother import so3
+from smoother.estimate.factors.imu import preintegrate
 from smoother.estimate.model.imu import BinnedImu, DensePath, bin_imu, dense_path, halved, motion_at
 from smoother.estimate.model.noise import InertialNoise
-from smoother.estimate.model.preintegration import preintegrate
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
 from smoother.units import DEG

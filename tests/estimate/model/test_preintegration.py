@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from smoother import so3
+from smoother.estimate.factors.imu import preintegrate
 from smoother.estimate.model.imu import BinnedImu, bin_imu
 from smoother.estimate.model.noise import InertialNoise
-from smoother.estimate.model.preintegration import preintegrate
 
 from .shaken import NO_BIAS, Shaken
 

@@ -8,7 +8,7 @@ from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, State
 from smoother.estimate.output.dense_rows import DenseRows, _between_samples, _bridge
-from smoother.estimate.output.uncertainty import antenna_covariance, bend_covariance, track_variance
+from smoother.estimate.output.estimated import antenna_covariance, bend_covariance, track_variance
 from smoother.estimate.solvers.covariance import Covariances
 
 from .still_state import state_of

@@ -12,13 +12,12 @@ from smoother.estimate.fixes.reported_noise import noise_of_fixes, scatter_of_fi
 from smoother.estimate.model.heading import FieldFit, Heading
 from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE
-from smoother.estimate.output.estimated import Estimated, Known
+from smoother.estimate.output.estimated import Estimated, Known, Uncertainty
 from smoother.estimate.output.identified import field_values, identified_values
 from smoother.estimate.output.joint import WindowsJoint
 from smoother.estimate.output.mounting import FittedMounting
-from smoother.estimate.output.noise_uncertainty import NoiseUncertainty
 from smoother.estimate.output.problems import early
-from smoother.estimate.output.uncertainty import Uncertainty
+from smoother.estimate.output.residuals import NoiseUncertainty
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG

@@ -9,7 +9,7 @@ import pytest
 from smoother.estimate.fixes.reported_noise import hidden_wander
 from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import KEYFRAME_SIZE, OFFSET
-from smoother.estimate.output.noise_uncertainty import corners, noise_uncertainty
+from smoother.estimate.output.residuals import corners, noise_uncertainty
 from smoother.estimate.solvers.variance_components import RowComponent, SampleComponent
 from smoother.fit.noise_spread import ANY_NOISE, Residuals, of_force, of_positions, of_rate, of_velocities
 

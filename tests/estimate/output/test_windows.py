@@ -5,8 +5,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate import solve
-from smoother.estimate.initial.guess import busiest_span, make_start
-from smoother.estimate.initial.parts import busiest_part, stretch
+from smoother.estimate.initial.guess import busiest_part, busiest_span, make_start, stretch
 from smoother.estimate.output import windows
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare

@@ -6,8 +6,8 @@ import weakref
 import numpy as np
 import pytest
 
-from smoother.estimate.preprocess import path_motion as averages
-from smoother.estimate.preprocess.path_motion import averages_of
+from smoother.estimate.preprocess import streams as averages
+from smoother.estimate.preprocess.streams import averages_of
 from smoother.samples import ImuSamples
 
 

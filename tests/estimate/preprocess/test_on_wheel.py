@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.initial.units import beginning
-from smoother.estimate.preprocess import on_wheel
-from smoother.estimate.preprocess.on_wheel import is_on_wheel, without_the_wheels
+from smoother.estimate.initial.align import beginning
+from smoother.estimate.preprocess import gains as on_wheel
+from smoother.estimate.preprocess.gains import is_on_wheel, without_the_wheels
 from smoother.fit.running import running_mean
 from smoother.samples import GnssFixes, ImuSamples, Problem
 from smoother.sim.motion import wander

@@ -5,8 +5,7 @@ import pytest
 
 from smoother.arrays import Array, IntArray
 from smoother.estimate.preprocess.clock import fit_drift
-from smoother.estimate.preprocess.path_motion import PathMotion, averages_of
-from smoother.estimate.preprocess.streams import Measured, Streams, compare_streams
+from smoother.estimate.preprocess.streams import Measured, PathMotion, Streams, averages_of, compare_streams
 from smoother.samples import ImuSamples
 
 LASTS, LATE = 300.0, 0.23
