@@ -7,11 +7,10 @@ from smoother.estimate.fixes.settling import settling_problems, unsettled, witho
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.guess import Start, make_start
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Step, fit_drift, fit_step, placed
+from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Step, fit_drift, fit_step
 from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, in_step
 from smoother.estimate.preprocess.pauses import closed_up, pauses_of
 from smoother.estimate.preprocess.streams import (
-    STRETCH,
     Measured,
     Streams,
     averages_of,
@@ -22,7 +21,6 @@ from smoother.samples import Problem, Session
 
 BARELY = 0.3  # sigmas, from which on a corrected drift is corrected again
 PASSES = 5  # of the clock, each of which is fitted to what the one before has left
-PLACED_WITHIN = 3.0  # stretches, in which the gap of a step is looked for
 # of the explained share of rate and force; a latency of the force that reduces it by more is rejected. True ones change
 # it by +0.005 to -0.0015 (sideslip partly acts like a latency), hairpins that seemed to show one of 0.1 s by -0.006 to
 # -0.017.
@@ -61,9 +59,9 @@ def begin(given: Session, options: GraphOptions) -> AlignedSession:
 
 
 def _on_one_clock(given: Session, options: GraphOptions) -> AlignedSession:
-    """Begin with a session, corrected for a drift and steps between the clocks of samples and fixes.
+    """Begin with a session, corrected for a drift between the clocks of samples and fixes; a step is refused.
 
-    A clock by which samples and fixes have less in common is none.
+    A correction after which the fixes explain less of the samples is rejected.
     """
     aligned = _aligned(given, options)
     for _ in range(PASSES):
@@ -76,11 +74,7 @@ def _on_one_clock(given: Session, options: GraphOptions) -> AlignedSession:
         if beyond.is_sure or drifts_on:
             clock = aligned.clock.and_beyond(beyond, float(given.gnss.t[0]))
         elif step is not None and step.is_sure:
-            assert corrected.imu is not None
-            found = placed(step, corrected.imu.t, PLACED_WITHIN * STRETCH)
-            if found is None:
-                return replace(aligned, unusable=(_unplaced(step),))
-            clock = aligned.clock.and_step(found)
+            return replace(aligned, unusable=(_step_problem(step),))
         else:
             return replace(aligned, clock=aligned.clock.without_more(beyond))
         better = replace(_aligned(clock.corrected(given), options), clock=clock)
@@ -91,10 +85,10 @@ def _on_one_clock(given: Session, options: GraphOptions) -> AlignedSession:
     return aligned
 
 
-def _unplaced(step: Step) -> Problem:
+def _step_problem(step: Step) -> Problem:
     text = (
-        f"the samples' clock steps by {step.value:+.2f} s against that of the fixes near t_s = {step.at:.0f}, and no "
-        "gap in their stamps shows where; smoothed from the fixes alone. Cut the session there"
+        f"the samples' clock steps by {step.value:+.2f} s against that of the fixes near t_s = {step.at:.0f}; smoothed "
+        "from the fixes alone. Cut the session there"
     )
     return Problem("clock_step", text)
 

@@ -1,4 +1,4 @@
-"""The samples' clock against that of the fixes: a drift and steps, which the lags of the stretches show.
+"""The samples' clock against that of the fixes, by the lags of the stretches: a drift is corrected, a step is detected.
 
 One logger stamps both by one clock. Others count samples at their nominal rate, which a sensor's own oscillator keeps
 to a per cent, or stamp fixes by the receiver's UTC. Such a clock shifts the lags of forward force, left force and yaw
@@ -27,7 +27,6 @@ SIGNIFICANT = 5.0  # sigmas of a drift
 ALIKE = 0.25  # of a drift, by which axes may differ unless by their own sigmas; a real kart's slip makes 0.33
 ROUNDS, ROBUST = 6, 3.0  # of reweighting; sigmas
 LEAST_BESIDE = 3  # stretches before a step, and after it
-GAP_OF_STEP = 0.7  # of a step that jumps ahead, the least gap that its stamps leave; and of that gap, the least step
 BLOCKS = 10  # of a session, whose errors are independent
 TINY = 1e-12
 
@@ -43,38 +42,26 @@ class Drift:
 
 @dataclass(frozen=True)
 class Step:
-    """The samples' clock is ahead by `value` s more from the stamp `at` s on, the next one after `since`, s.
-
-    is_sure: significant, and the axes agree.
-    """
+    """The samples' clock is ahead by `value` s more from about `at` s on. is_sure: significant, and the axes agree."""
 
     at: float
     value: float
     is_sure: bool
-    since: float = math.nan
 
 
 @dataclass(frozen=True)
 class Clock:
-    """The samples' clock gains `drift` s per s on that of the fixes from `zero` s on, where it `drifts`, and `steps`.
-
-    Times of steps are stamps with all earlier corrections made.
-    """
+    """The samples' clock gains `drift` s per s on that of the fixes from `zero` s on, where it `drifts`."""
 
     drift: float = 0.0
     drift_sigma: float = math.inf
     drifts: bool = False
     zero: float = 0.0
-    steps: tuple[Step, ...] = ()
 
     def and_beyond(self, beyond: Drift, zero: float) -> "Clock":
         """Return this clock with the drift that a session shows which it has corrected; zero s: of a first one."""
         both = (1.0 + self.drift * self.drifts) * (1.0 + beyond.value) - 1.0
         return replace(self, drift=both, drift_sigma=beyond.sigma, drifts=True, zero=self.zero if self.drifts else zero)
-
-    def and_step(self, step: Step) -> "Clock":
-        """Return this clock with a step that a session shows which it has corrected."""
-        return replace(self, steps=(*self.steps, step))
 
     def without_more(self, beyond: Drift) -> "Clock":
         """Return this clock where what a session shows beyond it is not corrected."""
@@ -82,11 +69,9 @@ class Clock:
 
     def corrected(self, session: Session) -> Session:
         """Return the session with its samples on the clock of its fixes."""
-        if self.drifts:
-            session = with_samples_at(session, lambda t: np.asarray(self.zero + (t - self.zero) / (1.0 + self.drift)))
-        for step in self.steps:
-            session = with_samples_at(session, partial(_stepped, step))
-        return session
+        if not self.drifts:
+            return session
+        return with_samples_at(session, lambda t: np.asarray(self.zero + (t - self.zero) / (1.0 + self.drift)))
 
     def identified(self) -> Identified:
         """What to report of the drift, ppm: the corrected one; else 0, with how large it may be."""
@@ -97,22 +82,14 @@ class Clock:
         return Identified(0.0, 1e6 * sigma, "ppm", False, "default")
 
     def problems(self, lasts: float) -> tuple[Problem, ...]:
-        """Report a drift and steps that were corrected in a session of `lasts` s."""
-        steps = tuple(
-            Problem(
-                "clock_step",
-                f"the samples' clock steps by {step.value:+.2f} s against that of the fixes near t_s = {step.at:.0f}; "
-                "corrected",
-            )
-            for step in self.steps
-        )
+        """Report a drift that was corrected in a session of `lasts` s."""
         if not self.drifts:
-            return steps
+            return ()
         text = (
             f"the samples' clock runs {1e6 * abs(self.drift):.0f} ppm {'fast' if self.drift > 0.0 else 'slow'} against "
             f"that of the fixes, {abs(self.drift) * lasts:.2f} s over the session; corrected"
         )
-        return (Problem("clock_drift", text), *steps)
+        return (Problem("clock_drift", text),)
 
 
 ONE_CLOCK = Clock()
@@ -185,30 +162,6 @@ def _robust_mean(lag: Array, weight: Array) -> tuple[Array, Array]:
     scatter = np.sum(used * (lag - mean) ** 2, axis=0) / np.maximum(count - 1, 1)
     sigma = np.sqrt(np.maximum(scatter, 1.0) / np.maximum(used.sum(axis=0), TINY))
     return mean, np.where(count >= LEAST_BESIDE, sigma, np.inf)
-
-
-def placed(step: Step, t: Array, within: float) -> Step | None:
-    """Return a step at the gap of its size that a clock which jumps ahead leaves in stamps t (N,) s, within some s.
-
-    None without one: a clock that goes back, or samples that were lost while stamps were counted, leave none.
-    """
-    first, last = np.searchsorted(t, [step.at - within, step.at + within])
-    gaps = np.diff(t[first:last])
-    if not gaps.size or step.value < 0.0:
-        return None
-    beyond = gaps - np.median(gaps)
-    alike = np.flatnonzero((beyond > GAP_OF_STEP * step.value) & (beyond < step.value / GAP_OF_STEP))
-    if not alike.size:
-        return None
-    k = int(alike[np.argmin(np.abs(t[first + alike] - step.at))])
-    gap = float(beyond[k])
-    return replace(step, at=float(t[first + k + 1]), since=float(t[first + k]), value=min(step.value, gap))
-
-
-def _stepped(step: Step, t: Array) -> Array:
-    """Times t (N,) s without a step; those in its gap, of other sensors, are drawn together."""
-    inside = step.since + (t - step.since) * (1.0 - step.value / (step.at - step.since))
-    return np.where(t >= step.at, t - step.value, np.where(t > step.since, inside, t))
 
 
 def _line(t: Array, lag: Array, weight: Array) -> tuple[float, float, Array]:

@@ -55,7 +55,7 @@ def test_one_clock_is_no_two(preset: str) -> None:
     for seed in (11, 12):
         aligned = begin(prepare(simulate_preset(preset, seed, duration=DURATION).raw), GraphOptions())
         found = aligned.clock
-        assert not found.drifts and not found.steps and not aligned.unusable
+        assert not found.drifts and not aligned.unusable
         assert abs(found.drift) < 4.0 * found.drift_sigma
 
 
@@ -139,7 +139,7 @@ def test_a_receiver_that_is_late_now_more_now_less_is_no_clock(session: Session)
     gnss = session.gnss
     late = gnss.t + 0.15 * np.sin(2.0 * np.pi * (gnss.t - gnss.t[0]) / 130.0 + 0.7)
     aligned = begin(replace(session, gnss=replace(gnss, t=late)), GraphOptions())
-    assert not aligned.clock.drifts and not aligned.clock.steps and not aligned.unusable
+    assert not aligned.clock.drifts and not aligned.unusable
 
 
 def with_step(session: Session, size: float, place: float = 0.5) -> Session:
@@ -152,33 +152,11 @@ def with_step(session: Session, size: float, place: float = 0.5) -> Session:
     return replace(session, imu=imu, mag=None)
 
 
-@pytest.mark.parametrize(("size", "place"), [(0.08, 0.5), (0.1, 0.2), (0.3, 0.3), (0.3, 0.7), (1.5, 0.5)])
-def test_a_step_ahead_is_found_and_placed(simulation: Simulation, session: Session, size: float, place: float) -> None:
-    assert session.imu is not None
-    stepped = with_step(session, size, place)
-    aligned = begin(stepped, GraphOptions())
-    (step,) = aligned.clock.steps
-    assert step.value == pytest.approx(size, abs=0.02)
-    assert step.at == pytest.approx(session.imu.t[0] + place * DURATION + size, abs=0.05)
-    assert not aligned.clock.drifts
-    plain = speed_error(GraphSmoother().estimate(replace(session, mag=None)), simulation, session)
-    found = GraphSmoother().estimate(stepped)
-    assert speed_error(found, simulation, session) < 1.05 * plain
-    assert "clock_step" in [problem.code for problem in found.report.problems]
-
-
-def test_a_step_back_has_no_place_and_the_fixes_are_smoothed_alone(session: Session) -> None:
-    found = GraphSmoother().estimate(with_step(session, -0.3))
+@pytest.mark.parametrize(("size", "place"), [(0.08, 0.5), (0.1, 0.2), (0.3, 0.7), (1.5, 0.5), (-0.3, 0.5)])
+def test_after_a_step_the_fixes_are_smoothed_alone(session: Session, size: float, place: float) -> None:
+    found = GraphSmoother().estimate(with_step(session, size, place))
     assert found.report.mode == "gps-only"
     assert "clock_step" in [problem.code for problem in found.report.problems]
-
-
-def test_stamps_of_other_sensors_in_the_gap_of_a_step_keep_their_order(session: Session) -> None:
-    stepped = replace(with_step(session, 0.5), mag=session.mag)
-    assert session.mag is not None
-    corrected = begin(stepped, GraphOptions()).clock.corrected(stepped)
-    assert corrected.mag is not None
-    assert np.all(np.diff(corrected.mag.t) > 0.0)
 
 
 def speed_error(trajectory: Trajectory, simulation: Simulation, session: Session) -> float:
