@@ -183,7 +183,7 @@ def baseline(session: Session, rate: float = 50.0, **options: Any) -> Trajectory
 
 def gps_alone(session: Session, rate: float = 50.0) -> Trajectory:
     """Return the fixes joined by straight lines: a row at each fix and `rate` rows a second; no sigmas, no attitude."""
-    from smoother.estimate.baseline.gps_alone import GpsAlone
+    from smoother.estimate.baseline.baseline import GpsAlone
 
     return GpsAlone(rate).estimate(session)
 

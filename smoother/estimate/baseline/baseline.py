@@ -1,8 +1,8 @@
 """The thesis' pipeline from a calibrated session to a trajectory: what the smoother has to beat.
 
-Gyro bias, level and north at rest; Madgwick's filter; specific force rotated into North-West-Up; fixes in metres; the
-six-state Kalman filter forwards in time. Calibration and fixes are the smoother's. As in the thesis, a fix counts as
-true at the moment it was received, Doppler velocity is no measurement, and the antenna sits on the IMU.
+Gyro bias, level and north at rest; Madgwick's filter; specific force rotated into North-West-Up; the six-state Kalman
+filter forwards in time. Calibration and fixes are the smoother's. As in the thesis, a fix counts as true at the moment
+it was received, Doppler velocity is no measurement, and the antenna sits on the IMU.
 
 It has no estimate of height, nor a sigma of attitude; these are NaN.
 """
@@ -16,21 +16,29 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.disc import pieces, release, roomy
-from smoother.estimate.baseline import alignment, noise
-from smoother.estimate.baseline.kalman import KalmanInput, KalmanOutput, run_kalman
+from smoother.estimate.baseline import alignment
+from smoother.estimate.baseline.kalman import (
+    KalmanInput,
+    KalmanOutput,
+    accel_covariance_at_rest,
+    accel_covariance_in_motion,
+    fix_variance,
+    run_kalman,
+)
 from smoother.estimate.baseline.madgwick import BETA, ZETA, run_madgwick
-from smoother.estimate.baseline.metres import Projection
 from smoother.estimate.baseline.steps import Steps, average_into_steps, nearest
+from smoother.estimate.output.resample import between_rows, bracket
 from smoother.fit.ellipsoid import FitError
 from smoother.fit.levelling import yaw_from_field
 from smoother.fit.magnetic_model import session_declination
-from smoother.frames import GRAVITY_N, euler_from_rotation, geodetic_to_nwu
+from smoother.frames import GRAVITY_N, euler_from_rotation
 from smoother.samples import MagSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Sigmas, Trajectory
 
 UNITY = np.array([1.0, 0.0, 0.0, 0.0])
 UNITY.flags.writeable = False
-LONGEST_STEP = 0.5  # s; over a longer gap of the IMU nothing is known about the turn
+LONGEST_STEP = 0.5  # s, gap of the IMU over which its turn is still integrated
+UNKNOWN_ACCEL = 50.0  # m/s^2, sigma of the acceleration where neither motion nor rest shows one
 
 
 @dataclass(frozen=True)
@@ -38,18 +46,14 @@ class BaselineOptions:
     """rate Hz of filter and rows; alpha m^2/s^4 per step, eq. 2.54; beta rad/s and zeta rad/s^2, listing 5.G.
 
     alpha: the best over simulated sessions of all presets (benchmarks/baseline_alpha.py; docs/tables).
-    accel_covariance: eq. 2.67 "in motion", or "at rest" as the thesis has it; see noise.py. default_fix_sigma m where
-    the receiver reports none; default_accel_sigma m/s^2 where neither motion nor rest tells.
+    accel_covariance: eq. 2.67 "in motion", or "at rest" as the thesis has it; see kalman.py.
     """
 
     rate: float = 50.0
     alpha: float = 3.16
     beta: float = BETA
     zeta: float = ZETA
-    use_magnetometer: bool = True
     accel_covariance: Literal["in motion", "at rest"] = "in motion"
-    default_fix_sigma: float = 2.5
-    default_accel_sigma: float = 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +81,14 @@ class ThesisBaseline:
         """Return rows at `rate` from the first to the last fix; see the module's text for what is NaN."""
         started = perf_counter()
         fixes, options = session.gnss, self.options
-        projection = Projection.about_mean(fixes.lat_deg, fixes.lon_deg)
-        position = projection.to_metres(fixes.lat_deg, fixes.lon_deg)
+        position = session.fix_position_n[:, :2]
         course = alignment.course_of(fixes, position)
         inertial = _inertial(session, course, options)
         oriented = perf_counter()
         t = fixes.t[0] + np.arange(int((fixes.t[-1] - fixes.t[0]) * options.rate + 1e-6) + 1) / options.rate
         filtered = run_kalman(_measurements(session, position, inertial, course, t, options), options.alpha)
         timings = {"attitude": oriented - started, "kalman": perf_counter() - oriented}
-        return _trajectory(session, projection, t, filtered, inertial, timings)
+        return _trajectory(t, filtered, inertial, timings)
 
 
 # ---- the IMU --------------------------------------------------------------------------------------------------------
@@ -111,7 +114,7 @@ def _inertial(session: Session, course: alignment.Course, options: BaselineOptio
     except FitError:
         return None
     steps = average_into_steps(imu, rest.is_at_rest, float(session.gnss.t[0]), 1.0 / options.rate)
-    mag = _usable_magnetometer(session, options)
+    mag = _usable_magnetometer(session)
     R_ns, problems = _attitude(session, steps, mag, rest, options)
     acceleration_n = roomy(steps.specific_force_s.shape)
     for part in pieces(len(R_ns)):
@@ -129,10 +132,10 @@ def _inertial(session: Session, course: alignment.Course, options: BaselineOptio
     return Inertial(steps, R_ns, acceleration_n, R_bs, rest.gyro_bias, problems)
 
 
-def _usable_magnetometer(session: Session, options: BaselineOptions) -> MagSamples | None:
+def _usable_magnetometer(session: Session) -> MagSamples | None:
     """Only a calibrated field points north: hard iron is as strong as the Earth's field."""
     mag = session.mag
-    if mag is None or not options.use_magnetometer or session.config.magnetometer.use is False:
+    if mag is None or session.config.magnetometer.use is False:
         return None
     return mag if mag.is_calibrated and len(mag.t) else None
 
@@ -237,36 +240,24 @@ def _measurements(
         at_step=at_step,
         delay=fixes.t - t[at_step],
         position=position,
-        fix_variance=noise.fix_variance(fixes, position, options.default_fix_sigma),
+        fix_variance=fix_variance(fixes, position),
     )
 
 
 def _accel_covariance(inertial: Inertial, course: alignment.Course, options: BaselineOptions) -> Array:
     steps, acceleration = inertial.steps, inertial.acceleration_n[:, :2]
     if options.accel_covariance == "at rest":
-        found = noise.accel_covariance_at_rest(acceleration, steps.is_at_rest)
+        found = accel_covariance_at_rest(acceleration, steps.is_at_rest)
     else:
-        found = noise.accel_covariance_in_motion(steps.t, acceleration, course, steps.period)
-    return options.default_accel_sigma**2 * np.eye(2) if found is None else found
+        found = accel_covariance_in_motion(steps.t, acceleration, course, steps.period)
+    return UNKNOWN_ACCEL**2 * np.eye(2) if found is None else found
 
 
 # ---- the result -----------------------------------------------------------------------------------------------------
 
 
-def _trajectory(
-    session: Session,
-    projection: Projection,
-    t: Array,
-    filtered: KalmanOutput,
-    inertial: Inertial | None,
-    timings: dict[str, float],
-) -> Trajectory:
-    n, origin = len(t), session.origin
-    position = roomy((n, 2))
-    for part in pieces(n):
-        lat_deg, lon_deg = projection.to_degrees(filtered.position[part])
-        position[part] = geodetic_to_nwu(lat_deg, lon_deg, np.full(len(lat_deg), origin.alt_m), origin)[:, :2]
-        release(position, filtered)
+def _trajectory(t: Array, filtered: KalmanOutput, inertial: Inertial | None, timings: dict[str, float]) -> Trajectory:
+    n = len(t)
     if inertial is not None:
         R_nb, acceleration_b, angular_rate_b = _body_motion(inertial, t)
     else:
@@ -277,7 +268,7 @@ def _trajectory(
     problems = (_NO_IMU,) if inertial is None else inertial.problems
     return Trajectory(
         t=t,
-        position_n=_with_unknown_up(position),
+        position_n=_with_unknown_up(filtered.position),
         velocity_n=_with_unknown_up(filtered.velocity),
         R_nb=R_nb,
         acceleration_b=acceleration_b,
@@ -336,3 +327,37 @@ def _sigmas(filtered: KalmanOutput) -> Sigmas:
         attitude=unknown,
         track=np.full(n, np.nan),
     )
+
+
+class GpsAlone:
+    """What a plain GPS logger shows: straight lines between the fixes as received, without correction of the
+    latency."""
+
+    name = "GPS alone"
+
+    def __init__(self, rate: float = 50.0) -> None:
+        """`rate`: rows per second, Hz, besides one row at each fix."""
+        self._rate = rate
+
+    def estimate(self, session: Session) -> Trajectory:
+        """Return the fixes joined by straight lines; heights and velocities likewise where they are known."""
+        fixes = fixes_as_trajectory(session)
+        first, last = fixes.t[0], fixes.t[-1]
+        grid = first + np.arange(int((last - first) * self._rate) + 1) / self._rate
+        t = np.union1d(grid, fixes.t)
+        t = t[np.concatenate([[True], np.diff(t) > 1e-9])]
+        place = bracket(fixes.t, t)
+        return _gps_trajectory(t, between_rows(fixes.position_n, place), between_rows(fixes.velocity_n, place))
+
+
+def fixes_as_trajectory(session: Session) -> Trajectory:
+    """Return the fixes themselves, one row each; velocity from speed and course where no components were sent."""
+    fixes = session.gnss
+    return _gps_trajectory(fixes.t, session.fix_position_n, fixes.velocity_n)
+
+
+def _gps_trajectory(t: Array, position_n: Array, velocity_n: Array) -> Trajectory:
+    n = len(t)
+    unknown = np.full((n, 3), np.nan)
+    report = EstimateReport(mode="gps-only")
+    return Trajectory(t, position_n, velocity_n, np.full((n, 3, 3), np.nan), unknown, unknown, report=report)

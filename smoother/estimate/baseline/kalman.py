@@ -10,6 +10,11 @@ result is the one of the 6 x 6 matrices, which the tests hold against it, at a t
 Note on eq. 2.54: the text calls sigma_da a variance and sets alpha = sigma_da; the matrix printed is alpha times the
 outer product of eq. 2.53's vector, so alpha is the variance by which the acceleration may change from one step to the
 next, m^2/s^4 *per step*. It belongs to a rate; it is tuned at the thesis' 50 Hz.
+
+The thesis measures both covariances (eq. 2.66 and 2.67) in 30 s at rest. Here that of the fixes is their scatter while
+driving. At rest accelerations scatter by 0.3 m/s^2, but in a corner gravity leaks in through a tilt of tens of degrees
+and stays there for seconds. Such an error acts like white noise of the same spectral density, `variance * step =
+density`, which the velocity changes of accelerometer and fixes show. The covariance at rest stays available.
 """
 
 from collections.abc import Iterator
@@ -17,9 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
+from smoother.estimate.baseline.alignment import FEWEST, MOVING, Course, velocities_at_fixes
 from smoother.estimate.baseline.steps import CHUNK, collect
+from smoother.samples import GnssFixes
 
 START_VELOCITY, START_ACCELERATION = 15.0, 5.0  # m/s, m/s^2: sigma before anything is measured; a kart in motion
 START_POSITION = 1e3  # m, sigma about the first fix
@@ -124,3 +131,60 @@ def _axis_states(
             pp, pv, pa = pp - kp * pp, pv - kp * pv, pa - kp * pa
             fix = next(fixes, None)
         yield p, v, a, pp, vv
+
+
+COMPARED = 2.0  # s over which velocity changes are compared: about the length of a corner
+UNREPORTED = 2.5  # m, sigma of the fixes of a receiver that reports none
+LEAST_FIX_SIGMA = 0.2  # m; receivers that scatter less do so by filtering
+FEWEST_STEPS_AT_REST = 50  # for a variance good to a fifth
+
+
+def fix_variance(fixes: GnssFixes, position: Array) -> Array:
+    """Variance (M,) m^2 per axis of each fix, of positions (M, 2) m.
+
+    The scatter of neighbouring fixes about a straight line, at most what the receiver reports (UNREPORTED if nothing),
+    because slow fixes bend with the path. Reports also say which fixes are worse than the usual.
+    """
+    reported = fixes.sigma_horizontal
+    assert reported is not None
+    known = np.isfinite(reported) & (reported > 0.0)
+    usual = float(np.median(reported[known])) if np.any(known) else UNREPORTED
+    sigma = max(min(_scatter(fixes.t, position), usual), LEAST_FIX_SIGMA)
+    relative = np.where(known, np.maximum(np.where(known, reported, usual) / usual, 1.0), 1.0)
+    return np.asarray((sigma * relative) ** 2)
+
+
+def _scatter(t: Array, position: Array) -> float:
+    """Sigma (m) per axis from bends between three fixes equally far apart; jumps count, the filter has to bear them."""
+    step = np.diff(t)
+    if step.size < 2:
+        return float("inf")
+    regular = np.abs(step - np.median(step)) < 0.2 * np.median(step)
+    bend = (position[1:-1] - 0.5 * (position[:-2] + position[2:]))[regular[1:] & regular[:-1]]
+    return float(np.sqrt(np.mean(bend**2) / 1.5)) if bend.size else float("inf")
+
+
+def accel_covariance_in_motion(t: Array, acceleration: Array, course: Course, period: float) -> Array | None:
+    """Covariance (2, 2) per step of `period` s that is equivalent to the error in motion; None with too few fixes.
+
+    acceleration (N, 2) m/s^2 at t (N,) s, north and west. Spans in motion count, or all if there are too few.
+    """
+    fix_t, own, fixes = velocities_at_fixes(t, acceleration, course)
+    later = np.searchsorted(fix_t, fix_t + COMPARED - 1e-6)
+    first = np.flatnonzero(later < fix_t.size)
+    first = first[fix_t[later[first]] - fix_t[first] < 1.5 * COMPARED]  # not across an outage
+    moving = first[np.hypot(fixes[first, 0], fixes[first, 1]) > MOVING]
+    first = moving if moving.size >= FEWEST else first
+    if first.size < FEWEST:
+        return None
+    error = own - fixes
+    change = error[later[first]] - error[first]
+    duration = float(np.mean(fix_t[later[first]] - fix_t[first]))
+    return np.asarray(change.T @ change / first.size / (duration * period))
+
+
+def accel_covariance_at_rest(acceleration: Array, is_at_rest: BoolArray) -> Array | None:
+    """Covariance (2, 2) of the accelerations (N, 2) m/s^2 of the steps at rest (N,): eq. 2.67; None with too few."""
+    if np.count_nonzero(is_at_rest) < FEWEST_STEPS_AT_REST:
+        return None
+    return np.cov(acceleration[is_at_rest], rowvar=False)

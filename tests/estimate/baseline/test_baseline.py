@@ -7,8 +7,7 @@ import pytest
 
 from smoother import so3
 from smoother.config import MagnetometerUse, Mounting, SessionConfig
-from smoother.estimate.baseline.baseline import BaselineOptions, ThesisBaseline
-from smoother.estimate.baseline.gps_alone import GpsAlone
+from smoother.estimate.baseline.baseline import BaselineOptions, GpsAlone, ThesisBaseline
 from smoother.estimate.judge.evaluate import evaluate
 from smoother.frames import euler_from_rotation, rotation_from_euler
 from smoother.prepare import prepare
@@ -162,14 +161,13 @@ def test_a_configured_mounting_is_used_as_it_is(white):
 # ---- sessions that offer less ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["option", "settings", "absent", "uncalibrated"])
+@pytest.mark.parametrize("how", ["settings", "absent", "uncalibrated"])
 def test_without_a_calibrated_magnetometer_north_comes_from_motion(how):
     changes = {"absent": {"mag": None}, "uncalibrated": {"mag_calibration_points": 0}}.get(how, {})
     session, truth, _ = simulated(**changes)
-    options = replace(GENTLE, use_magnetometer=how != "option")
     if how == "settings":
         session = replace(session, config=SessionConfig(magnetometer=MagnetometerUse(use=False)))
-    found = ThesisBaseline(options).estimate(session)
+    found = ThesisBaseline(GENTLE).estimate(session)
     assert codes(found) == ["baseline_no_magnetometer"]
     assert evaluate(found, truth).yaw_rms_deg < 8.0
     assert evaluate(found, truth).horizontal_rms_m < 2.5

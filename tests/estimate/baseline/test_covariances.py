@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.baseline.alignment import Course
-from smoother.estimate.baseline.noise import accel_covariance_at_rest, accel_covariance_in_motion, fix_variance
+from smoother.estimate.baseline.kalman import accel_covariance_at_rest, accel_covariance_in_motion, fix_variance
 from smoother.samples import GnssFixes
 
 UNKNOWN = 2.5
@@ -25,7 +25,7 @@ def test_the_scatter_of_the_fixes_is_found_while_driving(sigma):
     t = 0.2 * np.arange(2000)
     position = circle(t) + sigma * np.random.default_rng(1).normal(size=(2000, 2))
     # the bend of the path itself, v^2 / r dt^2 / 2 = 0.11 m, adds little
-    np.testing.assert_allclose(np.sqrt(fix_variance(fixes(t), position, UNKNOWN)), sigma, rtol=0.06)
+    np.testing.assert_allclose(np.sqrt(fix_variance(fixes(t), position)), sigma, rtol=0.06)
 
 
 def test_a_slow_wander_is_not_scatter():
@@ -33,18 +33,18 @@ def test_a_slow_wander_is_not_scatter():
     wander = 2.0 * np.stack([np.sin(t / 30.0), np.cos(t / 40.0)], axis=1)
     position = wander + 0.3 * np.random.default_rng(2).normal(size=(3000, 2))
     reported = np.full(3000, 2.0)
-    np.testing.assert_allclose(np.sqrt(fix_variance(fixes(t, reported), position, UNKNOWN)), 0.3, rtol=0.1)
+    np.testing.assert_allclose(np.sqrt(fix_variance(fixes(t, reported), position)), 0.3, rtol=0.1)
 
 
 def test_slow_fixes_on_a_winding_path_count_as_reported_or_as_the_default():
     t = 2.0 * np.arange(300)  # between fixes the path bends by v^2 / r dt^2 / 2 = 11 m
-    np.testing.assert_allclose(fix_variance(fixes(t), circle(t), UNKNOWN), UNKNOWN**2)
-    np.testing.assert_allclose(fix_variance(fixes(t, np.full(300, 0.7)), circle(t), UNKNOWN), 0.49)
+    np.testing.assert_allclose(fix_variance(fixes(t), circle(t)), UNKNOWN**2)
+    np.testing.assert_allclose(fix_variance(fixes(t, np.full(300, 0.7)), circle(t)), 0.49)
 
 
 def test_a_receiver_that_smooths_its_fixes_is_not_believed_to_the_millimetre():
     t = 0.1 * np.arange(500)
-    np.testing.assert_allclose(fix_variance(fixes(t), 3.0 * np.stack([t, t], axis=1), UNKNOWN), 0.04)
+    np.testing.assert_allclose(fix_variance(fixes(t), 3.0 * np.stack([t, t], axis=1)), 0.04)
 
 
 def test_fixes_reported_worse_than_usual_weigh_less():
@@ -52,7 +52,7 @@ def test_fixes_reported_worse_than_usual_weigh_less():
     reported = np.full(500, 1.0)
     reported[100:110] = 6.0
     reported[200] = np.nan
-    variance = fix_variance(fixes(t, reported), circle(t), UNKNOWN)
+    variance = fix_variance(fixes(t, reported), circle(t))
     np.testing.assert_allclose(variance[100] / variance[0], 36.0)
     assert variance[200] == variance[0]
 
@@ -60,13 +60,13 @@ def test_fixes_reported_worse_than_usual_weigh_less():
 def test_an_outage_is_not_scatter():
     t = np.concatenate([0.2 * np.arange(300), 80.0 + 0.2 * np.arange(300)])
     position = circle(t) + 0.4 * np.random.default_rng(3).normal(size=(600, 2))
-    np.testing.assert_allclose(np.sqrt(fix_variance(fixes(t), position, UNKNOWN)), 0.4, rtol=0.15)
+    np.testing.assert_allclose(np.sqrt(fix_variance(fixes(t), position)), 0.4, rtol=0.15)
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_fixes_count_as_the_default(count):
     t = 0.2 * np.arange(count)
-    np.testing.assert_allclose(fix_variance(fixes(t), np.zeros((count, 2)), UNKNOWN), UNKNOWN**2)
+    np.testing.assert_allclose(fix_variance(fixes(t), np.zeros((count, 2))), UNKNOWN**2)
 
 
 def test_white_noise_in_the_acceleration_comes_back_as_its_variance_per_step():

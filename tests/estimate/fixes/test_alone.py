@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from smoother.arrays import Array
 from smoother.config import GnssTiming, SessionConfig
-from smoother.estimate.baseline.gps_alone import GpsAlone
+from smoother.estimate.baseline.baseline import GpsAlone
 from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.judge.evaluate import evaluate
 from smoother.estimate.judge.quality import assess

@@ -6,7 +6,7 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.estimate.baseline.gps_alone import GpsAlone, fixes_as_trajectory
+from smoother.estimate.baseline.baseline import GpsAlone, fixes_as_trajectory
 from smoother.estimate.judge.evaluate import at_fixes, evaluate, nees, without_doubtful_velocity
 from smoother.estimate.output.resample import resample
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
