@@ -27,7 +27,6 @@ from smoother.estimate.output.mounting import FittedMounting, along_wheels, fit_
 from smoother.estimate.output.problems import early, shaken, too_far, too_few, unlike
 from smoother.estimate.output.trajectory import build_trajectory, row_times
 from smoother.estimate.preprocess.clock import clock_problems, clock_scale, in_session_time, in_true_time
-from smoother.estimate.preprocess.force_delay import identified as identified_delay
 from smoother.estimate.preprocess.pauses import opened_up
 from smoother.estimate.solve import Solved, solve
 from smoother.samples import Problem, Session
@@ -134,7 +133,7 @@ def _completed_report(
         identified={
             **report.identified,
             **field_values(solved.heading, found),
-            "accel_delay": identified_delay(aligned.delay),
+            "accel_delay": aligned.delay.identified(),
             "imu_clock_drift": aligned.clock.identified(),
         },
         left_out=aligned.left_out,

@@ -210,7 +210,7 @@ def test_times_are_unsure_by_a_delay_that_is_likely_and_by_what_is_left_of_one(
 
 def band(delay: float, size: float = 1.0) -> BandDelay:
     """What one band says, to a millisecond, of 1 to 2 Hz."""
-    return BandDelay(1.0, 2.0, delay, 1e-3, size, 0.01, 0.9)
+    return BandDelay(1.0, 2.0, delay, 1e-3, size, 0.01)
 
 
 def test_bands_that_differ_by_more_than_their_sigmas_know_the_delay_less_well(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.initial import begin as begin_module
-from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, advanced, identified, in_step
+from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, advanced, in_step
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session
@@ -61,13 +61,13 @@ def test_at_the_ends_and_beside_a_gap_the_force_stays_within_what_was_measured()
 
 
 def test_what_is_reported_is_what_was_taken_out() -> None:
-    found = identified(ForceDelay(0.05, 0.002, True))
+    found = ForceDelay(0.05, 0.002, True).identified()
     assert (found.value, found.sigma, found.observable, found.source) == (0.05, 0.002, True, "identified")
-    none = identified(ForceDelay(0.003, 0.004, True))
+    none = ForceDelay(0.003, 0.004, True).identified()
     assert (none.value, none.observable, none.source) == (0.0, False, "default")
     assert none.sigma == pytest.approx(1.0 / np.hypot(1.0 / 0.005, 1.0 / 0.003))  # never more than beforehand
-    assert identified(ForceDelay(0.0005, 0.0005, True)).observable
-    unknown = identified(UNSEEN)
+    assert ForceDelay(0.0005, 0.0005, True).identified().observable
+    unknown = UNSEEN.identified()
     assert (unknown.value, unknown.sigma, unknown.observable, unknown.source) == (0.0, 0.003, False, "default")
 
 
