@@ -1,9 +1,8 @@
 """Long pauses in which neither samples nor fixes were written: a session is estimated with their middle cut out.
 
-Nothing tells what happens in a pause of an hour, and a chain of keyframes through it costs as much as an hour of
-driving, with covariances that grow beyond the digits of a float. So time is closed up: a little of the pause is left on
-either side, and what is estimated does not go on from one side to the other (:mod:`smoother.estimate.output.windows`).
-Rows of the removed time keep the position of the kart, with a large sigma.
+A chain of keyframes through a pause of an hour costs as much as an hour of driving, and its covariances exceed the
+digits of a float. So time is closed up: a little of the pause is left on either side, and no state goes on from one
+side to the other (:mod:`smoother.estimate.output.windows`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -18,9 +17,9 @@ from smoother.samples import Session
 from smoother.trajectory import Sigmas, Trajectory
 from smoother.units import ANY_ANGLE
 
-LONGEST = 60.0  # s without anything that are bridged; the slow error of the fixes is forgotten after as long
-LEFT = 30.0  # s, about, that are left of a pause: a path through the fixes can be anywhere on the premises after it
-BESIDE = 50  # fixes on either side that tell how they fall on the grid of their spacing
+LONGEST = 60.0  # s without anything that are bridged: as long as the slow error of the fixes lasts
+LEFT = 30.0  # s, about, that are left of a pause: in that time a path can reach any place of the premises
+BESIDE = 50  # fixes on either side that determine the phase of the grid of their spacing
 COARSEST = 1.0  # s, of that grid; keyframes are closer
 
 
@@ -79,7 +78,7 @@ NO_PAUSES = Pauses()
 def pauses_of(session: Session) -> Pauses:
     """Return the long pauses of a session between its first and last fix, none without an inertial sensor.
 
-    Samples alone in the midst of a pause tell no place, and are cut out with it.
+    Samples without fixes in the middle of a pause are cut out with it.
     """
     if session.imu is None:
         return NO_PAUSES
@@ -157,79 +156,45 @@ def _kept(values: Array, keep: list[slice], removed: Array | None = None) -> Arr
 def opened_up(trajectory: Trajectory, pauses: Pauses, t: Array) -> Trajectory:
     """Return the trajectory of a closed session with rows at t (N,) s: its own, and those of the times cut out.
 
-    In those the kart is on the line from the last row before to the first one after, and at either end for all that is
-    known; it is as it stood, and points anywhere.
+    In those the kart moves evenly from the last row before to the first one after. Its attitude is unknown, and its
+    position as uncertain as both ends are far from each other.
     """
-    fill = _Filling.of(pauses, t)
-    assert len(trajectory) == fill.own[-1].stop - sum(fill.lengths)
+    out = pauses.are_cut_out(t)
+    row = np.cumsum(~out) - 1  # the own one at or before each
+    assert row[-1] + 1 == len(trajectory)
+    before, own_t = row[out], t[~out]
+    after = np.minimum(before + 1, len(own_t) - 1)
+    lasts = (own_t[after] - own_t[before])[:, None]
+    change = trajectory.position_n[after] - trajectory.position_n[before]
+
+    def rows(values: Array, between: Array | float) -> Array:
+        """Values (N, ...) of all rows: of own ones (M, ...), and those in between (N - M, ...)."""
+        all_rows = roomy((len(t), *values.shape[1:]))
+        for part in pieces(len(t)):
+            all_rows[part] = values[row[part]]
+            release(all_rows, values)
+        all_rows[out] = between
+        all_rows.flags.writeable = False
+        return all_rows
+
     report, joint, sigmas = trajectory.report, trajectory.joint, trajectory.sigmas
     if report.keyframes is not None:
         report = replace(report, keyframes=replace(report.keyframes, t=pauses.opened(report.keyframes.t)))
-    ends = fill.ends(trajectory.position_n)
-    apart = ends[:, 1] - ends[:, 0]
-    lasts = np.array([t[min(part.stop, len(t) - 1)] - t[part.start - 1] for part in fill.out])[:, None]
+    if sigmas is not None:
+        larger = {name: np.maximum(values[before], values[after]) for name, values in vars(sigmas).items()}
+        larger["position_n"] = np.hypot(larger["position_n"], change)
+        larger["track"] = np.hypot(larger["track"], np.hypot(change[:, 0], change[:, 1]))
+        larger["attitude"] = np.full_like(change, ANY_ANGLE)
+        sigmas = Sigmas(**{name: rows(values, larger[name]) for name, values in vars(sigmas).items()})
+    share = (t[out] - own_t[before])[:, None] / lasts
     return Trajectory(
         t,
-        fill.rows(trajectory.position_n, ends[:, 0], apart),
-        fill.rows(trajectory.velocity_n, apart / lasts),
-        fill.rows(trajectory.R_nb, fill.ends(trajectory.R_nb)[:, 0]),
-        fill.rows(trajectory.acceleration_b, np.zeros_like(apart)),
-        fill.rows(trajectory.angular_rate_b, np.zeros_like(apart)),
-        None if sigmas is None else _opened_sigmas(sigmas, fill, apart),
+        rows(trajectory.position_n, trajectory.position_n[before] + share * change),
+        rows(trajectory.velocity_n, change / lasts),
+        rows(trajectory.R_nb, trajectory.R_nb[before]),
+        rows(trajectory.acceleration_b, 0.0),
+        rows(trajectory.angular_rate_b, 0.0),
+        sigmas,
         report,
         None if joint is None else Retimed(joint, pauses.closed),
     )
-
-
-def _opened_sigmas(sigmas: Sigmas, fill: "_Filling", apart: Array) -> Sigmas:
-    """Sigmas of all rows: in the times cut out the larger ones of both ends, which are `apart` (P, 3) m."""
-    larger = {name: fill.ends(values).max(axis=1) for name, values in vars(sigmas).items()}
-    larger["position_n"] = np.hypot(larger["position_n"], apart)
-    larger["track"] = np.hypot(larger["track"], np.hypot(apart[:, 0], apart[:, 1]))
-    larger["attitude"] = np.full_like(apart, ANY_ANGLE)
-    return Sigmas(**{name: fill.rows(values, larger[name]) for name, values in vars(sigmas).items()})
-
-
-@dataclass(frozen=True, eq=False)
-class _Filling:
-    """Which of N rows are a trajectory's own, P + 1 slices, and which are cut out between them, P slices."""
-
-    own: list[slice]
-    out: list[slice]
-
-    @staticmethod
-    def of(pauses: Pauses, t: Array) -> "_Filling":
-        """For rows at t (N,) s. Pauses that no row falls into have none."""
-        own = _outside(pauses, t)
-        return _Filling(own, [slice(one.stop, two.start) for one, two in pairwise(own)])
-
-    @property
-    def lengths(self) -> list[int]:
-        """How many rows are cut out in each of the pauses."""
-        return [part.stop - part.start for part in self.out]
-
-    def ends(self, values: Array) -> Array:
-        """The last of the rows `values` (N - M, ...) before each pause and the first one after it, (P, 2, ...)."""
-        first = np.cumsum([part.stop - part.start for part in self.own])[:-1]
-        return np.asarray(values[np.stack([first - 1, np.minimum(first, len(values) - 1)], axis=1)])
-
-    def rows(self, values: Array, between: Array, change: Array | None = None) -> Array:
-        """Values (N, ...) of all rows: of (N - M, ...) values, and in each pause those `between` (P, ...).
-
-        change (P, ...): what is added to that evenly on the way to the other end.
-        """
-        rows, at = roomy((self.own[-1].stop, *values.shape[1:])), 0
-        for part in self.own:
-            for some in pieces(part.stop - part.start):
-                count = some.stop - some.start
-                rows[part.start + some.start : part.start + some.stop] = values[at : at + count]
-                at += count
-                release(rows, values)
-        for k, part in enumerate(self.out):
-            for some in pieces(length := part.stop - part.start):
-                way = np.arange(some.start + 1, some.stop + 1) / (length + 1)
-                moved = 0.0 if change is None else np.multiply.outer(way, change[k])
-                rows[part.start + some.start : part.start + some.stop] = between[k] + moved
-                release(rows)
-        rows.flags.writeable = False
-        return rows
