@@ -1,7 +1,6 @@
-"""Is a recording good enough to drive with? Rates, gaps, fixes, clipping and vibration, judged in a second.
+"""Check of a recording before driving: rates, gaps, fixes, clipping and vibration, in a second.
 
-Looks at what the sensors delivered, not at what an estimator would make of it. A finding is `ok`, a `warning` (the
-result will be poorer) or a `stop` (mend it before driving: the data would be lost or useless). Units inside are SI.
+A finding is `ok`, a `warning` (the result will be poorer) or a `stop` (the data would be useless). Units are SI.
 """
 
 from collections.abc import Iterator
@@ -31,28 +30,26 @@ from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted, span
 
-SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slower is the kart's motion
-ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
+SMOOTHING = 0.5  # s; quicker than this is vibration, slower is the motion of the kart
+ENOUGH = 1 << 20  # samples whose slow part is kept, an hour and a half at 200 Hz; of more each n-th
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
 _OWN_LOGGER = (".klg", "out.txt", "simulation")  # ends of inputs of this project's loggers, all with a motion sensor
 _WITH_SENSOR = (*_OWN_LOGGER, "imu.csv", "imu.csv.gz")  # ends of inputs that promise a motion sensor
-USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
+USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader that explain missing samples
 _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_folder")  # a sensor is there, but not read
-SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at all have sent one
+SPEED_NEAR = 1.0  # s; a receiver may send its velocity less often than its position
 WHEEL_SAMPLES = 1 << 18  # used to detect a logger on the steering wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
-FARTHER_AWAY = (
-    "mount the logger farther from the engine"  # not onto something soft: what shakes by itself is not the kart
-)
-_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # of the reader, judged below by themselves
+FARTHER_AWAY = "mount the logger farther from the engine"
+_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that have findings of their own below
 
 
 @dataclass(frozen=True)
 class CheckLimits:
-    """What is asked of a recording, each number with its unit; `stop` is where the data becomes useless."""
+    """Limits of the findings; beyond those named `stop` the data is useless."""
 
-    shortest: float = 10.0  # s of fixes; of less, hardly a rate can be told
+    shortest: float = 10.0  # s of fixes; too short for a rate
     fix_rate: float = 4.0  # Hz; a kart goes 5 m between two fixes at 5 Hz
     fix_gap: float = 1.0  # s
     fix_gap_stop_share: float = 0.2  # of the recording spent in gaps
@@ -65,9 +62,9 @@ class CheckLimits:
     imu_gap_stop_share: float = 0.05  # of the samples lost
     clipped: float = 0.001  # share of samples
     clipped_stop: float = 0.02
-    accel_vibration: float = 8.0  # m/s^2 rms over the three axes; a rigidly mounted box on a kart has about 4
-    accel_bent: float = 25.0  # m/s^2 rms; stronger, and clipped, it makes gravity seem another
-    bent_gravity: tuple[float, float] = (0.45, 2.0)  # of the standard, what is left of it then
+    accel_vibration: float = 8.0  # m/s^2 rms over the three axes; a rigidly mounted logger on a kart has about 4
+    accel_bent: float = 25.0  # m/s^2 rms; stronger and clipped vibration biases gravity
+    bent_gravity: tuple[float, float] = (0.45, 2.0)  # of the standard, then
     gyro_vibration: float = 120.0 * DEG  # rad/s rms; about 95 deg/s was seen on a kart that still could be smoothed
     gravity: tuple[float, float] = (0.75, 1.6)  # of the standard, slow specific force at its 20th percentile
     turn_rate: float = 10.0  # rad/s, slow rate rms; above it the file is most likely in deg/s
@@ -75,7 +72,7 @@ class CheckLimits:
 
 @dataclass(frozen=True)
 class Finding:
-    """One judgement: `level` is ok, warning or stop; `topic` what it is about; `text` a sentence with its remedy."""
+    """`level` is ok, warning or stop; `text` is a sentence with its remedy."""
 
     level: str
     topic: str
@@ -84,7 +81,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Check:
-    """All findings about a recording and the numbers behind them.
+    """All findings about a recording and the measures behind them.
 
     is_gps_only: there is no motion sensor, or the unusable one of another logger.
     """
@@ -96,7 +93,7 @@ class Check:
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing speaks against driving."""
+        """Whether no finding is a stop."""
         return all(finding.level != "stop" for finding in self.findings)
 
     @property
@@ -107,7 +104,7 @@ class Check:
 
 @dataclass(frozen=True)
 class _Part:
-    """What one sensor contributed."""
+    """Findings and measures of one sensor."""
 
     findings: list[Finding]
     measures: dict[str, float]
@@ -129,10 +126,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
 
 
 def _is_gps_only(raw: RawSession) -> bool:
-    """Whether nothing better than fixes is to be had: a VBO, NMEA or GPX file, a sensor that is not made for this.
-
-    An unusable motion sensor of this project's logger is a fault, as is one that is missing without a reason.
-    """
+    """Whether the recording can have fixes only; an unusable motion sensor of this project's logger is a fault."""
     if raw.imu is not None or _is_of(raw, _OWN_LOGGER):
         return False
     promised = raw.mag is not None or _is_of(raw, _WITH_SENSOR)
@@ -144,7 +138,7 @@ def _is_of(raw: RawSession, ends: tuple[str, ...]) -> bool:
 
 
 def _why_useless(problems: tuple[Problem, ...]) -> str:
-    """What is said of a motion sensor without usable samples; the reasons are those of the reader."""
+    """The reader's reason why a motion sensor has no usable samples."""
     for problem in problems:
         reason = problem.text.removesuffix(": smoothed from GPS alone").partition(": ")[2]
         if problem.code in USELESS and reason:
@@ -165,7 +159,7 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
     lasts, limit = float(fixes.t[-1] - fixes.t[0]), max(limits.fix_gap, 2.5 * float(np.median(np.diff(fixes.t))))
     interval, without = _interval_and_gaps(fixes.t, limit)
     steps = np.diff(fixes.t)
-    gaps = steps[are_fix_gaps(steps)]  # as the reader counts them; what is lost with them is judged by longer ones
+    gaps = steps[are_fix_gaps(steps)]  # as the reader counts them
     measures = {
         "duration_s": lasts,
         "fixes": float(len(fixes)),
@@ -229,7 +223,7 @@ def _check_imu(imu: RawImu | None, limits: CheckLimits, is_own: bool) -> _Part:
 
 
 def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits, is_own: bool) -> Iterator[Finding]:
-    """is_own: recorded by a logger of this project, whose card is what loses samples."""
+    """is_own: recorded by a logger of this project, whose card may lose samples."""
     rate = measures["imu_rate_hz"]
     level = "ok" if rate >= limits.imu_rate else "warning" if rate >= limits.imu_rate_stop else "stop"
     yield Finding(level, "IMU", f"{rate:.0f} samples a second" + ("" if level == "ok" else "; 100 or more are wanted"))
@@ -286,8 +280,7 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
 
 
 def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
-    """Whether the axes are those of a box that is turned, and turned by the kart alone, which driving shows; of a long
-    recording its beginning."""
+    """Axes that no mounting explains, and a logger on the steering wheel, by the beginning of the recording."""
     found = aligned(imu, raw.gnss)
     problems = () if found is None else found.problems
     is_misnamed = found is not None and found.is_misnamed
@@ -301,10 +294,7 @@ def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
 
 
 def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:
-    """Mean interval of samples (s), and the intervals in which some were lost, by the reader's measure where it looked.
-
-    Stamps that it has evened out already would tell another.
-    """
+    """Mean interval of samples (s), and the intervals in which some were lost, by the reader's limit if it has one."""
     if imu.longest_step is not None:
         return _interval_and_gaps(imu.t, imu.longest_step)
     base = regularize(imu.t)
@@ -312,7 +302,7 @@ def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:
 
 
 def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:
-    """Mean step (s), and the steps longer than `limit` seconds that are no lower rate, which are not in the mean."""
+    """Mean step (s), and the steps longer than `limit` seconds, which are not in the mean unless the rate is lower."""
     gaps, total, count, usual = [], 0.0, 0, usual_step(t)
     for part in pieces(len(t) - 1):
         steps = np.diff(t[part.start : part.stop + 1])
@@ -325,7 +315,7 @@ def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Samples (N, 3) of a sensor, SI: share clipped, rms of what is quicker than SMOOTHING, and the rest, thinned."""
+    """Of the samples of a sensor: share clipped, rms of vibration, and slow part (n, 3), thinned, in SI."""
 
     clipped: float
     vibration: float
@@ -333,7 +323,7 @@ class _Motion:
 
 
 def _motion(values: Array, scale: float, interval: float, full_scale: float | None, smallest_range: float) -> _Motion:
-    """Look through samples (N, 3), `scale` each, a part at a time: a day of them would not fit into memory."""
+    """Of samples (N, 3), `scale` each, in parts that fit into memory."""
     window, step = max(1, round(SMOOTHING / interval)), max(1, len(values) // ENOUGH)
     lowest, highest = (scale * extreme for extreme in _extremes(values))
     clipped, squares, slow = 0, 0.0, []
@@ -365,10 +355,7 @@ def _extremes(values: Array) -> tuple[Array, Array]:
 
 
 def _repeated_ends(values: Array, lowest: Array, highest: Array, least: float) -> int:
-    """How many of (N, 3) samples of unknown range repeat an extreme of their axis beyond `least`.
-
-    At the end of its range a sensor repeats one and the same number, which noise far from zero all but never does.
-    """
+    """Number of (N, 3) samples that repeat an extreme of their axis beyond `least`, as when clipped."""
     at_end = (values[1:] == lowest) | (values[1:] == highest)
     repeated = at_end & (values[1:] == values[:-1]) & (np.abs(values[1:]) > least)
     return int(np.count_nonzero(np.any(repeated, axis=1)))
@@ -380,7 +367,7 @@ def _known_satellites(fixes: GnssFixes) -> Array:
 
 
 def _have_speed(fixes: GnssFixes) -> BoolArray:
-    """Mask (N,) of the fixes with a velocity, or one near: a receiver may renew it less often than its positions."""
+    """Mask (N,) of the fixes with a velocity within SPEED_NEAR."""
     return are_near(fixes.t, fixes.t[np.isfinite(fixes.velocity_n[:, 0])], SPEED_NEAR)
 
 

@@ -1,7 +1,7 @@
 """Accuracy of a trajectory against truth: errors, coverage of the reported sigmas, NEES.
 
-Errors are estimate - truth, at the times of the truth inside the estimate's span; nothing is left out unless the
-caller says so. Truth may know less than the estimate (a reference receiver has no attitude); what is unknown is NaN.
+Errors are estimate - truth, at the times of the truth inside the estimate's span. Quantities that truth or estimate
+lacks are NaN.
 """
 
 from dataclasses import dataclass, replace
@@ -27,9 +27,9 @@ _ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class Nees:
-    """Normalised estimation error squared, the mean over keyframes; an honest covariance gives `dimension`.
+    """Normalised estimation error squared, the mean over keyframes; `dimension` for a consistent covariance.
 
-    The keyframes of one session are correlated: the mean of one session scatters far more than chi-square over K.
+    The keyframes of one session are correlated, so its mean scatters far more than chi-square over K.
     """
 
     mean: float
@@ -39,14 +39,13 @@ class Nees:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Root mean square errors against truth, NaN where truth or estimate does not know the quantity.
+    """Root mean square errors against truth, NaN where truth or estimate lacks the quantity.
 
-    horizontal_rms_m is of the 2-D error, velocity_rms_mps of the 3-D one; relative_1s_rms_m is the horizontal error of
-    the change of position over 1 s. along_track and cross_track split the horizontal error by the true direction of
-    travel. lag_s is the constant shift of time that fits best (positive: the estimate is late) and
-    horizontal_rms_at_lag_m what is left then: for references with a delay of their own. coverage_1sigma and
-    coverage_2sigma are the share of position errors, per axis, within one and two sigma; `coverage` gives both for each
-    quantity.
+    horizontal_rms_m: of the 2-D error; velocity_rms_mps: of the 3-D one; relative_1s_rms_m: horizontal error of the
+    change of position over 1 s. along_track, cross_track: parts of the horizontal error along and across the true
+    direction of travel. lag_s: the constant time shift that fits best (positive: the estimate is late);
+    horizontal_rms_at_lag_m: the error with it removed. coverage_1sigma, coverage_2sigma: shares of position errors per
+    axis within one and two sigma; coverage: both for each quantity.
     """
 
     count: int
@@ -126,7 +125,7 @@ def relative_rms(errors: Errors, interval: float) -> float:
     later = np.searchsorted(errors.t, errors.t + interval - 1e-6)
     inside = later < errors.t.size
     i, j = np.flatnonzero(inside), later[inside]
-    # rows of an irregular truth stand for the interval only if they are within a tenth of it
+    # rows of an irregular truth count if they are within a tenth of the interval
     near = np.abs(errors.t[j] - errors.t[i] - interval) <= 0.1 * interval
     change = errors.position_n[j[near], :2] - errors.position_n[i[near], :2]
     return _rms(np.hypot(change[:, 0], change[:, 1]))
@@ -150,8 +149,8 @@ def best_lag(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
 def without_doubtful_velocity(truth: Trajectory) -> Trajectory:
     """Return the truth, its velocity unknown where most of it contradicts the positions (a wrong sign or frame)."""
     step = np.diff(truth.t)[:, None]
-    moved, told = np.diff(truth.position_n, axis=0) / step, 0.5 * (truth.velocity_n[1:] + truth.velocity_n[:-1])
-    difference = np.linalg.norm((moved - told)[:, :2], axis=1)
+    moved, mean = np.diff(truth.position_n, axis=0) / step, 0.5 * (truth.velocity_n[1:] + truth.velocity_n[:-1])
+    difference = np.linalg.norm((moved - mean)[:, :2], axis=1)
     known = np.isfinite(difference) & (step[:, 0] < 2.0)  # over longer steps the mean of two ends is not the velocity
     if not known.any():
         return truth

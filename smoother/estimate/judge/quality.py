@@ -1,7 +1,6 @@
-"""The quality gate: may a person believe this trajectory? Judged from the result and the fixes alone, without truth.
+"""The quality gate: whether a trajectory is valid, by its own sigmas and residuals and by the fixes.
 
-The gate is meant to catch results that are wrong, not results that are poor: an honest trajectory of bad data with
-wide sigmas passes. Its limits are options, and the measures behind each verdict are handed back with it.
+The gate rejects results that are wrong, not results that are poor: a trajectory of bad data with wide sigmas passes.
 """
 
 import math
@@ -23,41 +22,36 @@ from smoother.trajectory import (
 from smoother.units import DEG
 from smoother.words import counted
 
-# residuals by which nothing is judged: a kart may slide for long, and samples are as noisy as they were found to be
+# residuals without a limit: a kart may slide for long, and the noise of the samples is identified
 NOT_JUDGED = ("slip", "inertial", "bias_walk")
-USUAL_WANDER = GnssPathOptions.offset_sigma[0]  # m, of receivers in general, which says nothing of these fixes
-ROW = 0.1  # s, between the rows that are asked about attitude
+USUAL_WANDER = GnssPathOptions.offset_sigma[0]  # m, slow error of receivers in general
+ROW = 0.1  # s between the rows whose attitude is checked
 
 
 @dataclass(frozen=True)
 class QualityLimits:
-    """Limits of the gate. A fix is far when it lies beyond near_fix and beyond near_fix_sigmas times what the receiver
-    says of its accuracy, and times the trajectory's own sigma, which contains the receiver's slow wander.
+    """Limits of the gate. A fix is far when its distance exceeds near_fix and near_fix_sigmas times its reported
+    accuracy and the sigma of the trajectory, which contains the slow error of the receiver.
 
-    fix_sigma: up to which wander and noise that were found in the fixes count too. A long session knows its place
-    better than any of its fixes; but a trajectory that went astray would find much of both.
-    far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it. A short session has as long
-    jumps as others: far_seconds in all are forgiven there, of at most short_far_share of the fixes.
-    far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
-    stands: speed of a trajectory below which fixes that say less than strolls are not judged.
-    top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
-    normalised_rms: of the residuals of any factor but NOT_JUDGED; 1 is honest, beyond this the noise model is wrong by
-    as much. rejected_share: of the measurements of any of these factors.
-    sigma_yaw: median, of a session of at least parked_seconds with less than least_driving of its rows driven; beyond
-    it the heading is a guess. Fixes alone tell no heading: there nothing was driven where as few rows are faster than
-    stood_speed, clearly (sigmas), and 95 % lie within stood_radius of their middle. GPS wanders as far by itself, and a
-    skid pad is as small but driven faster. lean_step: how far the mean roll, or angle of floor or nose to the direction
-    of travel, on the two sides of any moment, each at least lean_seconds of driving, may differ where it stands out of
-    the scatter of its means over block_seconds by lean_significance sigma: a box that slipped does both. (Real karts
-    and cars had up to 6.6 sigma and 3 deg, not both.) lean_creep: likewise how far it may go from the first to the last
-    block evenly: a box that slips little by little. rattle: how fast roll or floor may swing about their running
-    mean over rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
-    sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
-    faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
-    direction of travel, of the session or of any lean_seconds, beyond any banked track; by less, stated axes may be
-    off a box that does not lie level.
-    near_seconds: of a fix, beyond which rows are not judged: pauses of both sensors are unknown.
-    fewest_fixes: that make a path at all.
+    fix_sigma: limit of the identified slow error and noise of the fixes that count as their accuracy too.
+    far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it. In a short session far_seconds
+    in all are permitted, of at most short_far_share of the fixes.
+    far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump on real recordings.
+    stands: speed of the trajectory below which fixes slower than strolls are ignored.
+    top_speed: above any kart or road car. sigma_horizontal: median.
+    normalised_rms: of the residuals of any factor but NOT_JUDGED. rejected_share: of the measurements of any of them.
+    sigma_yaw: median, of a session of at least parked_seconds with less than least_driving of its rows driven. Of fixes
+    alone, a session counts as not driven where so few rows are faster than stood_speed by `clearly` sigmas, and 95 %
+    lie within stood_radius of their middle.
+    lean_step: difference of the mean roll, pitch relative to the path, or sideslip before and after any moment, each at
+    least lean_seconds of driving, with lean_significance sigmas of its means over block_seconds: a logger that moved
+    shows both. (Real karts and cars had up to 6.6 sigma and 3 deg, not both.) lean_creep: likewise of a steady change.
+    rattle: rms of roll or pitch about their running mean over rattle_span, for rattle_seconds in all, beyond
+    rattle_ratio times the usual.
+    sideways: sideslip that no kart holds, for sideways_share of the driving faster than driving_speed.
+    overturned: median of roll or pitch relative to the path, of the session or of any lean_seconds, beyond any banked
+    track.
+    near_seconds: rows farther from any fix are ignored. fewest_fixes: least number for a path.
     """
 
     near_fix: float = 5.0  # m
@@ -72,10 +66,10 @@ class QualityLimits:
     sigma_horizontal: float = 50.0  # m
     normalised_rms: float = 5.0
     rejected_share: float = 0.30
-    fewest_residuals: int = 20  # below it neither share nor rms means anything
+    fewest_residuals: int = 20
     sigma_yaw: float = 30.0 * DEG
     least_driving: float = 0.01
-    parked_seconds: float = 45.0  # s; a shorter recording is a trial, and of no drive
+    parked_seconds: float = 45.0  # s; a shorter recording is a trial
     stood_speed: float = 2.0  # m/s
     stood_radius: float = 15.0  # m
     clearly: float = 3.0
@@ -84,7 +78,7 @@ class QualityLimits:
     far_lean_step: float = 6.0 * DEG  # likewise with far_lean_seconds on either side
     far_lean_seconds: float = 20.0  # s
     lean_creep: float = 5.0 * DEG
-    unsure: float = 2.5 * DEG  # sigma of roll and pitch beyond which they say nothing about the mounting
+    unsure: float = 2.5 * DEG  # sigma of roll and pitch beyond which they do not show the mounting
     lean_seconds: float = 60.0  # s
     block_seconds: float = 20.0  # s
     rattle: float = 5.0 * DEG
@@ -101,9 +95,9 @@ class QualityLimits:
 
 @dataclass(frozen=True)
 class Quality:
-    """Verdict of the gate; `reasons` are sentences, empty when passed; `measures` are what it was judged by.
+    """Verdict of the gate; `reasons` are sentences, empty when passed.
 
-    Their `top_speed_mps` is the highest row near a fix, unsure spikes and all: not the top speed of the session.
+    measures: its `top_speed_mps` is the highest row near a fix, spikes included: not the top speed of the session.
     """
 
     passed: bool
@@ -112,7 +106,7 @@ class Quality:
 
 
 def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None = None) -> Quality:
-    """Judge a trajectory by its own fixes, sigmas and residuals."""
+    """Check a trajectory by its own fixes, sigmas and residuals."""
     limits = QualityLimits() if limits is None else limits
     finite = bool(np.isfinite(estimate.position_n).all() and np.isfinite(estimate.velocity_n).all())
     release(estimate)
@@ -133,7 +127,7 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
 
 
 def _named_reasons(session: Session, estimate: Trajectory) -> list[str]:
-    """Reasons of axes that no mounting explains or that show nothing: attitudes are wrong by many sigmas."""
+    """Reasons of axes that no mounting explains or that never change."""
     if estimate.report.mode != "full":
         return []
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
@@ -147,7 +141,7 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     t = session.gnss.t - (latency.value if latency is not None and isinstance(latency.value, float) else 0.0)
     inside = (t >= estimate.t[0]) & (t <= estimate.t[-1])
     if estimate.report.left_out is not None:
-        inside &= ~estimate.report.left_out  # the trajectory does not follow them, which is reported
+        inside &= ~estimate.report.left_out  # they are reported
     inside &= ~_stray_at_rest(session, estimate, t, limits)
     if not inside.any():
         return {}
@@ -168,17 +162,14 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
 
 
 def _stray_at_rest(session: Session, estimate: Trajectory, t: Array, limits: QualityLimits) -> BoolArray:
-    """Mask (N,) of slow fixes while the kart stands: under a roof they wander, and nothing that is driven is off."""
+    """Mask (N,) of slow fixes while the kart stands: under a roof they wander."""
     stands = np.interp(t, estimate.t, estimate.speed) < limits.stands
     velocity_n = session.gnss.velocity_n[:, :2]
     return np.asarray(stands & (np.hypot(velocity_n[:, 0], velocity_n[:, 1]) < limits.strolls))
 
 
 def _found_in_fixes(estimate: Trajectory) -> float:
-    """Sigma (m, horizontal per axis) of the fixes by wander and noise, as far as both were identified.
-
-    Wander beyond that of receivers in general shows in the fixes, too, even where a session is too short to pin it.
-    """
+    """Sigma (m, horizontal per axis) of the fixes by slow error and noise that were identified, or beyond the usual."""
     square = 0.0
     for name, least in (("gps_offset_sigma", USUAL_WANDER), ("gps_position_noise", math.inf)):
         if (one := estimate.report.identified.get(name)) is not None:
@@ -188,7 +179,7 @@ def _found_in_fixes(estimate: Trajectory) -> float:
 
 
 def _accuracy(session: Session) -> Array:
-    """What the receiver says of each fix, zero where it says nothing, (N,) m."""
+    """Reported accuracy of each fix, zero where there is none, (N,) m."""
     reported = session.gnss.sigma_horizontal
     return np.zeros(len(session.gnss)) if reported is None else np.nan_to_num(reported, nan=0.0)
 
@@ -220,7 +211,7 @@ def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[s
 
 
 def _standing(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
-    """How far around its middle a trajectory from fixes alone reaches, where nothing in it moves."""
+    """Radius of a trajectory from fixes alone that does not move."""
     if estimate.report.mode == "full" or estimate.t[-1] - estimate.t[0] < limits.parked_seconds:
         return {}
     estimate = _thinned(estimate)
@@ -236,7 +227,7 @@ def _standing(session: Session, estimate: Trajectory, limits: QualityLimits) -> 
 
 
 def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
-    """How well the heading is known, how the box stands in the kart from time to time, how much of it is sideways."""
+    """Sigma of the heading, changes of the mounting over the session, share of driving sideways."""
     estimate = _thinned(estimate)
     known = np.isfinite(estimate.R_nb).all(axis=(1, 2))
     if estimate.report.mode != "full" or estimate.sigmas is None or not known.any():
@@ -252,18 +243,18 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
         return {}
     velocity_b = np.einsum("nji,nj->ni", estimate.R_nb[driving], estimate.velocity_n[driving])
     beta = np.arctan2(velocity_b[:, 1], velocity_b[:, 0])
-    # an uphill road tilts the floor and the direction of travel alike
+    # pitch relative to the path: an uphill road tilts both alike
     floor = np.arctan2(velocity_b[:, 2], np.hypot(velocity_b[:, 0], velocity_b[:, 1]))
     angles = np.stack([estimate.euler[driving, 0], floor, beta], axis=1)
     sigma = np.max(estimate.sigmas.attitude[driving, :2], axis=1)
     sure = sigma < limits.unsure  # not in a gap of the IMU
-    usual = sigma < max(limits.unsure, 1.5 * float(np.median(sigma)))  # a box that creeps makes the mounting unsure
+    usual = sigma < max(limits.unsure, 1.5 * float(np.median(sigma)))  # a logger that creeps widens all sigmas
     step = float(np.median(np.diff(t)))
     steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
     short = replace(limits, lean_seconds=limits.far_lean_seconds)
     far = max(_largest_step(angles[sure, i], step, short) for i in range(3))
     steps += [far] if far > limits.far_lean_step else []
-    if not sure.any():  # as of a box that moved so far that none of its mountings is known
+    if not sure.any():  # a logger that moved far
         far = max(_largest_step(angles[usual, i], step, short) for i in range(3))
         steps += [far] if far > max(limits.far_lean_step, limits.clearly * float(np.median(sigma))) else []
     return {
@@ -284,17 +275,14 @@ def _off_level(angles: Array) -> float:
 
 
 def _thinned(estimate: Trajectory) -> Trajectory:
-    """Ten rows a second: more tell no more about attitude."""
+    """One row in ROW s."""
     if len(estimate) < 2:
         return estimate
     return estimate.every(max(1, round(ROW / median(np.diff(estimate.t)))))
 
 
 def _largest_step(values: Array, step: float, limits: QualityLimits) -> float:
-    """Largest significant difference of the means of values (N,) rad, `step` s apart, before and after any row.
-
-    Rows count, not time, so that a stop between is no part of either side. Zero where nothing is significant.
-    """
+    """Largest significant change of the mean of values (N,) rad, `step` s apart, at any row, or 0."""
     fewest, block = round(limits.lean_seconds / step), max(1, round(limits.block_seconds / step))
     if values.size < 2 * fewest:
         return 0.0
@@ -310,10 +298,7 @@ def _largest_step(values: Array, step: float, limits: QualityLimits) -> float:
 
 
 def _creep(values: Array, step: float, limits: QualityLimits) -> float:
-    """By how much values (N,) rad, `step` s apart, go one way from first to last block; zero if not clearly.
-
-    The line is fitted to the means over blocks; their residuals are its noise.
-    """
+    """Significant change of values (N,) rad, `step` s apart, along a line through their means over blocks, or 0."""
     block = max(1, round(limits.block_seconds / step))
     if values.size < max(2 * round(limits.lean_seconds / step), 5 * block):
         return 0.0
@@ -326,7 +311,7 @@ def _creep(values: Array, step: float, limits: QualityLimits) -> float:
 
 
 def _rattling(values: Array, step: float, limits: QualityLimits) -> float:
-    """Time, s, for which values (N,) rad, `step` s apart, swing more than a kart does, and than they usually do."""
+    """Time, s, for which values (N,) rad, `step` s apart, swing beyond `rattle` and beyond the usual."""
     width = limits.rattle_span / step
     if values.size < 4.0 * width:
         return 0.0
