@@ -1,7 +1,7 @@
-"""What the baseline has to know before it filters: gyro bias, which way is up, north and forward for the box.
+"""Initial alignment of the baseline: gyro bias, and up, north and forward in sensor axes.
 
-The thesis takes all of it from 30 s at rest with a magnetometer, in a box whose axes are the kart's. Where a session
-offers less, the nearest substitute is used and a problem says so:
+The thesis finds them in 30 s at rest with a magnetometer, with axes of the sensor along those of the kart. Where a
+session offers less, a substitute is used and reported:
 
     nothing at rest      level by the mean force, gyro bias by the mean rate less the net turn of the course
     no magnetometer      north by comparing the first minute's accelerations with those of the fixes
@@ -23,7 +23,7 @@ from smoother.units import DEG
 MOVING = 5.0  # m/s; above, the course of a fix is good to a few degrees
 STRAIGHT = 10.0 * DEG  # rad/s about up
 FIRST_MOTION = 60.0  # s of driving by which north is found without a magnetometer: long enough to average corners
-SETTING_OFF = 3.0  # s before that, while the kart gathers speed: the best part of it
+SETTING_OFF = 3.0  # s before that, while the kart gathers speed
 FEWEST = 10  # fixes on straights, or spans of acceleration, for a direction
 TURN_SPAN = 0.5  # s over which a turn is measured, against noise
 SPAN = 1.0  # s over which velocity changes are compared
@@ -45,7 +45,7 @@ class RestState:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Where the kart went. t (M,) s of the fixes; velocity (M, 2) m/s north and west."""
+    """Velocity of the fixes: t (M,) s; velocity (M, 2) m/s north and west."""
 
     t: Array
     velocity: Array
@@ -76,7 +76,7 @@ def course_of(fixes: GnssFixes, position: Array) -> Course:
 
 
 def rest_state(session: Session, imu: ImuSamples, course: Course) -> RestState:
-    """Gyro bias and level from what is at rest, or from their substitutes."""
+    """Gyro bias and level from rest, or from their substitutes."""
     is_at_rest = session_standstill(session)
     start = _start(imu.t, is_at_rest)
     if np.count_nonzero(is_at_rest) >= 2:
@@ -107,10 +107,10 @@ def _start(imu_t: Array, is_at_rest: BoolArray) -> tuple[float, float]:
 
 
 def north_from_motion(t: Array, acceleration: Array, course: Course) -> float | None:
-    """Angle (rad) by which level axes of unknown heading are to be turned to north, or None without enough motion.
+    """Angle (rad) from level axes of unknown heading to north, or None without enough motion.
 
-    acceleration (N, 2) m/s^2 at t (N,) s in those axes. Changes of velocity over SPAN seconds, as the fixes and as the
-    accelerometer see them, differ by that turn alone; the first FIRST_MOTION seconds of driving count.
+    acceleration (N, 2) m/s^2 at t (N,) s in those axes. Changes of velocity over SPAN seconds by fixes and by
+    accelerometer differ by that turn alone; the first FIRST_MOTION seconds of driving count.
     """
     fix_t, own, fixes = velocities_at_fixes(t, acceleration, course)
     is_moving = np.hypot(fixes[:, 0], fixes[:, 1]) > MOVING
@@ -137,7 +137,7 @@ def velocities_at_fixes(t: Array, acceleration: Array, course: Course) -> tuple[
 
 
 def forward_of_box(t: Array, yaw_l: Array, course: Course, duration: float) -> float | None:
-    """Heading (rad) of the levelled box in the kart: median of its yaw less the course on straights, or None.
+    """Heading (rad) of the levelled sensor in the kart: median of its yaw less the course on straights, or None.
 
     yaw_l (N,) rad of the levelled sensor axes at t (N,) s; only the first `duration` seconds of driving count.
     """

@@ -1,4 +1,4 @@
-"""The thesis' pipeline from a calibrated session to a trajectory: what the smoother has to beat.
+"""The thesis' pipeline from a calibrated session to a trajectory, as a reference; and the fixes alone.
 
 Gyro bias, level and north at rest; Madgwick's filter; specific force rotated into North-West-Up; the six-state Kalman
 filter forwards in time. Calibration and fixes are the smoother's. As in the thesis, a fix counts as true at the moment
@@ -105,7 +105,7 @@ _NO_FORWARD = Problem(
 
 
 def _inertial(session: Session, course: alignment.Course, options: BaselineOptions) -> Inertial | None:
-    """Attitude and acceleration at the steps; None without an IMU, or if its force says nothing about up."""
+    """Attitude and acceleration at the steps; None without an IMU, or without a force."""
     imu = session.imu
     if imu is None or len(imu.t) < 2:
         return None
@@ -182,8 +182,7 @@ def _turned(values: Array, bias: Array, R: Array) -> Array:
 def _field_at(t: Array, mag: MagSamples) -> Array:
     """Field (P, 3) at every step, between readings by straight lines, NaN before the first and after the last.
 
-    Listing 5.G corrects with the field only at the samples that brought a reading, one in ten. How much it then weighs
-    depends on the ratio of two rates; afterwards, with all readings at hand, every step can have it.
+    Listing 5.G corrects with the field only at the samples that brought a reading, one in ten.
     """
     columns = [np.interp(t, mag.t, column, left=np.nan, right=np.nan) for column in mag.field_s.T]
     return np.stack(columns, axis=-1)
@@ -307,7 +306,7 @@ def _with_unknown_up(horizontal: Array) -> Array:
 
 
 def _sigmas(filtered: KalmanOutput) -> Sigmas:
-    """Sigmas of the Kalman filter. It believes the fixes' errors independent, so they are its own, not honest ones."""
+    """Sigmas of the Kalman filter, which assumes independent errors of the fixes; none of attitude."""
     n = len(filtered.position)
     position, velocity, of_speed = roomy((n, 2)), roomy((n, 2)), roomy(n)
     for part in pieces(n):
@@ -330,8 +329,7 @@ def _sigmas(filtered: KalmanOutput) -> Sigmas:
 
 
 class GpsAlone:
-    """What a plain GPS logger shows: straight lines between the fixes as received, without correction of the
-    latency."""
+    """Straight lines between the fixes as received, without correction of the latency."""
 
     name = "GPS alone"
 

@@ -3,9 +3,8 @@
 State `(p_x, p_y, v_x, v_y, a_x, a_y)`, eq. 2.50; x and y are north and west here. At every step the IMU measures the
 acceleration (H of eq. 2.65), with a fix also the position (H of eq. 2.62).
 
-The six states are filtered as two times three. A and Q treat both axes alike, a receiver states one horizontal sigma,
-and so in the principal axes of the accelerometer's covariance (eq. 2.67) nothing connects one axis with the other. The
-result is the one of the 6 x 6 matrices, which the tests hold against it, at a tenth of the cost.
+The six states are filtered as two times three: in the principal axes of the accelerometer's covariance (eq. 2.67)
+nothing couples one axis to the other. The result equals that of the 6 x 6 matrices at a tenth of the cost.
 
 Note on eq. 2.54: the text calls sigma_da a variance and sets alpha = sigma_da; the matrix printed is alpha times the
 outer product of eq. 2.53's vector, so alpha is the variance by which the acceleration may change from one step to the
@@ -34,7 +33,7 @@ START_POSITION = 1e3  # m, sigma about the first fix
 
 @dataclass(frozen=True, eq=False)
 class KalmanInput:
-    """What is measured at K steps of `step` s.
+    """Measurements at K steps of `step` s.
 
     acceleration (K, 2) m/s^2, a row of NaN without a reading; accel_covariance (2, 2), eq. 2.67. M fixes: at_step (M,)
     the step nearest to each, ascending; delay (M,) s by which the fix is later than that step; position (M, 2) m;
@@ -86,7 +85,7 @@ def _run_axis(data: KalmanInput, acceleration: Array, accel_variance: float, pos
 
 
 def _floats(values: Array) -> Iterator[float]:
-    """Plain floats, some at a time: a list of a day's would be gigabytes."""
+    """Plain floats, in chunks that fit into memory."""
     for part in pieces(len(values), CHUNK):
         yield from values[part].tolist()
 
@@ -155,7 +154,7 @@ def fix_variance(fixes: GnssFixes, position: Array) -> Array:
 
 
 def _scatter(t: Array, position: Array) -> float:
-    """Sigma (m) per axis from bends between three fixes equally far apart; jumps count, the filter has to bear them."""
+    """Sigma (m) per axis from bends between three fixes equally far apart; jumps are included."""
     step = np.diff(t)
     if step.size < 2:
         return float("inf")

@@ -5,9 +5,8 @@ numbers in the code are that report's. Symbols: q is the attitude of the sensor 
 magnetic north and z up (the conjugate of the report's, so `R(q)` takes sensor to Earth); beta, rad/s, weighs the
 correction; zeta, rad/s^2, lets the gyro's bias follow it.
 
-The gradient is that of a function on all quaternions, not only on unit ones, so it has a part along q that the length
-takes away again; how large it is depends on the sensor's axes. The filter is therefore not quite the same for readings
-in other axes, and the baseline turns them first and starts from the unit quaternion, as the thesis does.
+The gradient is that of a function on all quaternions, so it has a part along q that depends on the sensor's axes. The
+baseline therefore turns the readings first and starts from the unit quaternion, as the thesis does.
 
 Erratum: listing 5.G sets the two gains as `beta=.13, alpha=.04`, and eq. 2.45 speaks of alpha. The report has no such
 gain; its second one is zeta, and the value is read so.
@@ -47,7 +46,7 @@ def run_madgwick(
 
 
 def _samples(step: Array, specific_force: Array, angular_rate: Array, field: Array | None) -> Iterator[Sample]:
-    """Plain floats, because a loop over numpy scalars costs twenty times as much; in chunks, as in `collect`."""
+    """Plain floats, which are twenty times as fast as numpy scalars; in chunks, as in `collect`."""
     for i in range(0, len(step), CHUNK):
         chunk = slice(i, i + CHUNK)
         readings: list[list[float] | None] = [None] * len(step[chunk])

@@ -1,6 +1,6 @@
 """The clock of the baseline: inertial samples averaged into the steps of the Kalman filter, 50 a second by default.
 
-Averaging, not picking: it is the low-pass filter that the thesis wished for against the engine's vibration.
+The mean is the low-pass filter against the engine's vibration that the thesis proposes.
 """
 
 from collections.abc import Iterable
@@ -96,7 +96,7 @@ def _step_numbers(imu: ImuSamples, start: float, period: float) -> IntArray:
 
 
 def collect(rows: Iterable[tuple[float, ...]], count: int, width: int) -> Array:
-    """Array (count, width) of rows, filled in chunks: a list of a day's floats would be gigabytes."""
+    """Array (count, width) of rows, filled in chunks that fit into memory."""
     out, source = roomy((count, width)), iter(rows)
     for part in pieces(count, CHUNK):
         out[part] = list(islice(source, CHUNK))

@@ -27,12 +27,12 @@ POSITION_COUNT, UPWARDS_COUNT, OFFSET_COUNT, SLIP_COUNT, WALK_COUNT = 1.0, 20.0,
 SCATTER_COUNT, SHAPE_COUNT, SHARE_COUNT, ROWS_COUNT = 10.0, 20.0, 10.0, 1.0
 USUAL_SLIP = math.radians(0.6)
 USUAL_SPREAD = 1.4  # of the logarithm of a velocity's variance among receivers
-OWN_SCATTER = 0.3  # of the scatter between samples: the least density
-LARGEST_SQUARE = 1.0  # of a position over what is expected of it: outliers do not say how much fixes scatter
+OWN_SCATTER = 0.3  # least density, in parts of the scatter between samples
+LARGEST_SQUARE = 1.0  # bound of a squared position residual over its expectation, against outliers
 FLATTEST, LARGEST_SHARE = 0.02, 0.95
 MOST_STEP = 3.0  # ratio of a sigma to the one before
 HASTE = 1.4  # power of a ratio: steps approach the fixed point from one side
-ENOUGH = 1000  # intervals, spread evenly, tell a density to 2 %
+ENOUGH = 1000  # intervals, spread evenly, for a density to 2 %
 FEWEST_DRIVEN = 25  # intervals
 SENSOR_SCALE = {
     "accel_scale": (1e-3, 1.5e-2),
@@ -139,7 +139,7 @@ def sample_components(
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """What the residuals of a solution say of each source of noise; chosen: the intervals of force and rate."""
+    """Components of each source of noise; chosen: the intervals of force and rate."""
 
     force: SampleComponent
     rate: SampleComponent
@@ -149,7 +149,7 @@ class Components:
 
 
 def components_of(graph: Graph, step: Step, covariances: Covariances, binned: BinnedImu) -> Components:
-    """Residuals while the kart drives: at rest nothing shakes the box, and receivers may hold position and speed."""
+    """Residuals while the kart drives: at rest there is no vibration, and receivers may hold position and speed."""
     driven = np.ones(len(binned.missing), dtype=np.bool_)
     driven[graph.measured.still] = False
     if np.count_nonzero(driven) < FEWEST_DRIVEN:
@@ -174,10 +174,10 @@ def update_noise(
     usual: Noise,
     stated: set[str],
 ) -> tuple[Noise, Components]:
-    """Return the noise one step on, and what it was found from.
+    """Return the noise one step on, and its components.
 
-    usual: noise before any residual, of which the walks of the biases are what such sensors have. stated: names of
-    densities that the settings state (accel_noise, gyro_noise, accel_bias_walk, gyro_bias_walk); they stay.
+    usual: noise before any residual. stated: names of densities that the settings state (accel_noise, gyro_noise,
+    accel_bias_walk, gyro_bias_walk); they stay.
     """
     noise, now = graph.noise, graph.noise.inertial
     found = components_of(graph, step, covariances, binned)
@@ -228,8 +228,8 @@ def _density(component: SampleComponent, density: float, scatter: float) -> floa
 
 
 def _row_sigma(component: RowComponent, sigma: Array, usual: Array, count: float, largest: float = math.inf) -> Array:
-    """Sigma (3,) per axis, horizontal ones in common. largest: bound of a square over what is expected of it; what
-    Gaussian noise itself loses by that is put back (Huber 1981, 5.2)."""
+    """Sigma (3,) per axis, horizontal ones in common. largest: bound of a square over its expectation, whose effect on
+    Gaussian noise is compensated (Huber 1981, 5.2)."""
     out = sigma.copy()
     for axes in ([0, 1], [2]):
         squares, expected = component.squares[:, axes].sum(axis=1), component.expected[:, axes].sum(axis=1)
