@@ -20,7 +20,7 @@ from smoother.estimate.fixes.screen import most_say_velocity
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
 from smoother.estimate.initial.first_noise import first_noise, scale_at_rest, scatter_of
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.model.imu import BinnedImu, are_sampled, bin_imu, halved, has_hole, sampled_spans
+from smoother.estimate.model.imu import BinnedImu, are_sampled, bin_imu, has_hole, sampled_spans
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
 from smoother.estimate.preprocess.gains import is_on_wheel, without_the_wheels
@@ -177,11 +177,14 @@ def _late(path: GnssPath, constants: Mapping[str, Array]) -> float:
 
 
 def _bins(session: Session, state: State, alignment: Alignment, options: GraphOptions) -> tuple[BinnedImu, BinnedImu]:
-    """Inertial samples between the keyframes of `state`, in fine bins and in those to solve with."""
+    """Inertial samples between the keyframes of `state`, in fine bins and in bins twice as long to solve with."""
     assert session.imu is not None
     t, n_bins = state.t, max(1, round(options.keyframe_interval / options.bin_interval))
     fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
-    return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
+    if n_bins % 2:
+        return fine, fine
+    binned = bin_imu(session.imu, t, n_bins // 2, np.zeros(3), alignment.gyro_bias_s)
+    return fine, replace(binned, rough=fine.rough)
 
 
 def _measurements(

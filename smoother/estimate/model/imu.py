@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.model.state import State
 from smoother.fit.running import gaussian_mean
@@ -65,32 +65,6 @@ class BinnedImu:
             self.missing[intervals],
             None if self.rough is None else self.rough[intervals],
         )
-
-
-def halved(binned: BinnedImu, gyro_bias: Array) -> BinnedImu:
-    """Return half as many bins, each of two neighbours: the later force turned to the axes of the first one's start.
-
-    gyro_bias (3,) rad/s is taken off for that turn. The bins must be an even number in each interval. Source: as
-    :func:`bin_imu`, for two steps.
-    """
-    n, n_bins, _ = binned.specific_force_s.shape
-    force, rate = roomy((n, n_bins // 2, 3)), roomy((n, n_bins // 2, 3))
-    for part in pieces(n, TOGETHER):
-        some = binned.specific_force_s[part], binned.angular_rate_s[part]
-        force[part], rate[part] = _halved(*some, gyro_bias, binned.dt)
-        release(binned, force, rate)
-    return replace(binned, dt=2.0 * binned.dt, specific_force_s=force, angular_rate_s=rate)
-
-
-def _halved(force: Array, rate: Array, gyro_bias: Array, dt: float) -> tuple[Array, Array]:
-    force, later = force[:, 0::2], force[:, 1::2]
-    rate, later_rate = rate[:, 0::2], rate[:, 1::2]
-    turn = (rate - gyro_bias) * dt
-    turned = np.cross(turn, later)
-    return (
-        0.5 * (force + later + turned + 0.5 * np.cross(turn, turned)),
-        0.5 * (rate + later_rate + 0.5 * np.cross(turn, later_rate - gyro_bias)),
-    )
 
 
 def corrected(binned: BinnedImu, state: State) -> BinnedImu:
@@ -333,48 +307,21 @@ def are_observed(missing: Array) -> BoolArray:
     return np.asarray(sampled[1:] | sampled[:-1])
 
 
-def attitude_at(path: DensePath, t: Array) -> Array:
-    """Attitude R_ns (N, 3, 3) at t (N,), held beyond the ends of the path."""
-    i, tau, dt = _bin_of(path, t)
-    return np.asarray(path.R_ns[i] @ so3.exp(np.clip(tau, 0.0, dt) * path.angular_rate_s[i]))
+def motion_at(path: DensePath, t: Array) -> tuple[Array, Array, Array]:
+    """Attitude R_ns (N, 3, 3), position_n m and velocity_n m/s (N, 3) at t (N,) s; beyond the ends at even velocity.
 
-
-def _bin_of(path: DensePath, t: Array) -> tuple[IntArray, Array, float]:
-    """Bin (N,) that holds times t (N,), at the ends also those beyond; s since its edge (N, 1); length of a bin."""
+    Position is cubic within a bin, so that it is consistent with the velocities at both of its edges.
+    """
     dt = float(path.t[1] - path.t[0])
     i = np.clip(((t - path.t[0]) / dt).astype(np.int64), 0, len(path.t) - 2)
-    return i, (t - path.t[i])[:, None], dt
-
-
-@dataclass(frozen=True, eq=False)
-class MotionAt:
-    """Motion at asked-for times: R_ns (N, 3, 3); position_n, velocity_n (N, 3)."""
-
-    R_ns: Array
-    position_n: Array
-    velocity_n: Array
-
-
-def motion_at(path: DensePath, t: Array) -> MotionAt:
-    """Interpolate the path at t (N,), held at the ends by constant velocity."""
-    i, tau, dt = _bin_of(path, t)
-    beyond = (tau < 0.0) | (tau > dt)
-    share = tau / dt
-    # position is cubic between the edges, so that it is consistent with both velocities
-    h01 = share**2 * (3.0 - 2.0 * share)
-    cubic = (
-        path.position_n[i] * (1.0 - h01)
-        + path.position_n[i + 1] * h01
-        + dt * (share * (1.0 - share) ** 2 * path.velocity_n[i] - share**2 * (1.0 - share) * path.velocity_n[i + 1])
-    )
-    end = np.where(tau < 0.0, path.velocity_n[i] * tau, path.velocity_n[i + 1] * (tau - dt))
-    edge = np.where(tau < 0.0, path.position_n[i], path.position_n[i + 1])
-    velocity = np.where(
-        beyond,
-        np.where(tau < 0.0, path.velocity_n[i], path.velocity_n[i + 1]),
-        path.velocity_n[i] + path.acceleration_n[i] * tau,
-    )
-    return MotionAt(attitude_at(path, t), np.where(beyond, edge + end, cubic), velocity)
+    since = (t - path.t[i])[:, None]
+    inside = np.clip(since, 0.0, dt)
+    s, velocity_n = inside / dt, path.velocity_n[i] + inside * path.acceleration_n[i]
+    h = s**2 * (3.0 - 2.0 * s)
+    cubic = (1.0 - h) * path.position_n[i] + h * path.position_n[i + 1]
+    cubic += dt * (s * (1.0 - s) ** 2 * path.velocity_n[i] - s**2 * (1.0 - s) * path.velocity_n[i + 1])
+    R_ns = path.R_ns[i] @ so3.exp(inside * path.angular_rate_s[i])
+    return R_ns, cubic + (since - inside) * velocity_n, velocity_n
 
 
 # Which times of a session the inertial samples cover, where that is not all of it: a sensor starts late or pauses.

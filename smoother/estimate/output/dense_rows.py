@@ -139,12 +139,12 @@ class DenseRows:
     ) -> None:
         """Make the rows `part` at times t (n,) s, from the keyframes around them."""
         near, noise = source.around(t), found.known.noise
-        motion, rate_n = motion_at(near.path, t), at_times(near.path, near.rate_n, t)
+        (R_ns, position_n, velocity_n), rate_n = motion_at(near.path, t), at_times(near.path, near.rate_n, t)
         state = near.state
-        R_arm = arm_axes(Between.at(state, t)) if state.geometry.is_steered else motion.R_ns
-        arm_n, R_nb = R_arm @ state.constants["lever_arm"], motion.R_ns @ mounting.R_bs.T
-        self.position_n[part] = motion.position_n + arm_n
-        self.velocity_n[part] = motion.velocity_n + np.cross(near.swing_at(t), arm_n)
+        R_arm = arm_axes(Between.at(state, t)) if state.geometry.is_steered else R_ns
+        arm_n, R_nb = R_arm @ state.constants["lever_arm"], R_ns @ mounting.R_bs.T
+        self.position_n[part] = position_n + arm_n
+        self.velocity_n[part] = velocity_n + np.cross(near.swing_at(t), arm_n)
         self.R_nb[part] = R_nb
         self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, at_times(near.path, near.acceleration_n, t))
         self.angular_rate_b[part] = np.einsum("nji,nj->ni", R_nb, rate_n)
@@ -152,7 +152,7 @@ class DenseRows:
         bend = known.bend[keys] + _between_samples(near.binned, noise.inertial, state.R_ns)
         covariance, track = keyframes.covariance[keys], known.track[keys]
         track = np.column_stack([track, _bridge(track[:, 0], noise, state.interval)])
-        for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, motion.velocity_n).items():
+        for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, velocity_n).items():
             self.sigmas[name][part] = values
 
     def add_time_uncertainty(self, part: slice, sigma: float, of_attitude: float = 0.0) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.factors.imu import preintegrate
-from smoother.estimate.model.imu import BinnedImu, DensePath, bin_imu, dense_path, halved, motion_at
+from smoother.estimate.model.imu import BinnedImu, DensePath, bin_imu, dense_path, motion_at
 from smoother.estimate.model.noise import InertialNoise
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
@@ -238,9 +238,9 @@ class TestDensePath:
 class TestMotionAt:
     def test_at_its_own_edges_it_returns_the_path(self) -> None:
         _, path, _ = shaken_path(crooked=0.01)
-        motion = motion_at(path, path.t)
-        np.testing.assert_allclose(motion.position_n, path.position_n, atol=1e-9)
-        np.testing.assert_allclose(motion.velocity_n, path.velocity_n, atol=1e-9)
+        _, position_n, velocity_n = motion_at(path, path.t)
+        np.testing.assert_allclose(position_n, path.position_n, atol=1e-9)
+        np.testing.assert_allclose(velocity_n, path.velocity_n, atol=1e-9)
 
     def test_constant_acceleration_and_turn_are_reproduced_between_the_edges(self) -> None:
         t, a, w = 0.02 * np.arange(51), np.array([3.0, -2.0, 0.5]), np.array([0.3, -0.1, 2.0])
@@ -253,46 +253,25 @@ class TestMotionAt:
             np.tile(a, (50, 1)),
         )
         ask = np.random.default_rng(1).uniform(0.0, 1.0, 200)
-        motion = motion_at(path, ask)
-        np.testing.assert_allclose(motion.position_n, 0.5 * ask[:, None] ** 2 * a + 5.0 * ask[:, None], atol=1e-12)
-        np.testing.assert_allclose(motion.velocity_n, ask[:, None] * a + 5.0, atol=1e-12)
-        np.testing.assert_allclose(motion.R_ns, so3.exp(ask[:, None] * w), atol=1e-12)
+        R_ns, position_n, velocity_n = motion_at(path, ask)
+        np.testing.assert_allclose(position_n, 0.5 * ask[:, None] ** 2 * a + 5.0 * ask[:, None], atol=1e-12)
+        np.testing.assert_allclose(velocity_n, ask[:, None] * a + 5.0, atol=1e-12)
+        np.testing.assert_allclose(R_ns, so3.exp(ask[:, None] * w), atol=1e-12)
 
     def test_position_and_velocity_are_continuous(self) -> None:
         _, path, _ = shaken_path(crooked=0.01)
         inner, tiny = path.t[1:-1], 1e-9
-        before, after = motion_at(path, inner - tiny), motion_at(path, inner + tiny)
-        np.testing.assert_allclose(before.position_n, after.position_n, atol=1e-6)
-        np.testing.assert_allclose(before.velocity_n, after.velocity_n, atol=1e-5)
-        np.testing.assert_allclose(before.R_ns, after.R_ns, atol=1e-3)  # the spread of a crooked keyframe, first order
+        (R_1, p_1, v_1), (R_2, p_2, v_2) = motion_at(path, inner - tiny), motion_at(path, inner + tiny)
+        np.testing.assert_allclose(p_1, p_2, atol=1e-6)
+        np.testing.assert_allclose(v_1, v_2, atol=1e-5)
+        np.testing.assert_allclose(R_1, R_2, atol=1e-3)  # the spread of a crooked keyframe, first order
 
     def test_beyond_the_ends_it_coasts(self) -> None:
         _, path, _ = shaken_path(crooked=0.01)
         ends = np.array([path.t[0] - 2.0, path.t[-1] + 3.0])
-        motion = motion_at(path, ends)
-        np.testing.assert_allclose(motion.position_n[0], path.position_n[0] - 2.0 * path.velocity_n[0])
-        np.testing.assert_allclose(motion.position_n[1], path.position_n[-1] + 3.0 * path.velocity_n[-1])
-        np.testing.assert_array_equal(motion.velocity_n, path.velocity_n[[0, -1]])
-        np.testing.assert_allclose(motion.R_ns[0], path.R_ns[0], atol=1e-12)
-        np.testing.assert_allclose(motion.R_ns[1], path.R_ns[-1], atol=1e-3)
-
-
-class TestHalvedBins:
-    def test_they_integrate_to_the_same_motion(self) -> None:
-        """A fast turn and a gyro with a large offset: without turning the later force they would be 20 times worse."""
-        t, gyro_bias = np.array([0.4, 0.6, 0.8, 1.0]), np.array([0.0, 0.0, 1.0])
-        imu = Shaken(1.0, 0.1, 1.0).samples(400.0, 0.0, 2.0)
-        offset = replace(imu, angular_rate_s=imu.angular_rate_s + gyro_bias)
-        fine = bin_imu(offset, t, 10, NO_BIAS, gyro_bias)
-        coarse = halved(fine, gyro_bias)
-        assert (coarse.n_bins, coarse.dt) == (5, pytest.approx(2.0 * fine.dt))
-        fine = replace(fine, angular_rate_s=fine.angular_rate_s - gyro_bias)
-        coarse = replace(coarse, angular_rate_s=coarse.angular_rate_s - gyro_bias)
-        naive = fine.specific_force_s.reshape(3, 5, 2, 3).mean(axis=2)
-        for k in range(3):
-            (R, v, p), (R_half, v_half, p_half) = integrated(fine, k), integrated(coarse, k)
-            _, v_naive, _ = integrated(replace(coarse, specific_force_s=naive), k)
-            np.testing.assert_allclose(R_half, R, atol=1e-5)
-            np.testing.assert_allclose(v_half, v, atol=1e-3)
-            np.testing.assert_allclose(p_half, p, atol=1e-3)
-            assert np.linalg.norm(v_naive - v) > 5.0 * np.linalg.norm(v_half - v)
+        R_ns, position_n, velocity_n = motion_at(path, ends)
+        np.testing.assert_allclose(position_n[0], path.position_n[0] - 2.0 * path.velocity_n[0])
+        np.testing.assert_allclose(position_n[1], path.position_n[-1] + 3.0 * path.velocity_n[-1])
+        np.testing.assert_allclose(velocity_n, path.velocity_n[[0, -1]], rtol=1e-9)
+        np.testing.assert_allclose(R_ns[0], path.R_ns[0], atol=1e-12)
+        np.testing.assert_allclose(R_ns[1], path.R_ns[-1], atol=1e-3)
