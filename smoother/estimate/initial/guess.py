@@ -31,7 +31,7 @@ from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.fit.standstill import confirmed_at_rest, session_standstill
 from smoother.samples import Session
 
-DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
+DENSITIES = ("accel_noise", "gyro_noise")
 ARM_ON_WHEEL = 0.02  # m
 
 

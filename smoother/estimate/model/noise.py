@@ -34,11 +34,6 @@ class InertialNoise:
     accel_shape: Shape = ROUND
     gyro_shape: Shape = ROUND
 
-    @property
-    def walks(self) -> tuple[float, float]:
-        """Densities of the walks of the biases of force and rate."""
-        return self.accel_bias_walk, self.gyro_bias_walk
-
 
 def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
     """Densities (K-1,) of force and rate in each interval: the session's, and more where samples are lost.

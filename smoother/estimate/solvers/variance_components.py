@@ -17,13 +17,13 @@ from smoother.estimate.factors.rows import Rows, after_step
 from smoother.estimate.factors.wheels import SLIP_TIME
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.noise import InertialNoise, Noise, Shape, shared_densities
-from smoother.estimate.model.state import ACCEL_BIAS, COLUMNS, GYRO_BIAS, ROTATION
+from smoother.estimate.model.state import COLUMNS, ROTATION
 from smoother.estimate.solvers.batch import Step
 from smoother.estimate.solvers.covariance import Covariances
 
 USUAL_POSITION, SMALLEST_POSITION = np.array([0.05, 0.05, 0.1]), 0.02  # m; receivers filter, and a digit is 0.02
 USUAL_VELOCITY, SMALLEST_VELOCITY = np.array([0.15, 0.15, 0.3]), 0.02  # m/s
-POSITION_COUNT, UPWARDS_COUNT, OFFSET_COUNT, SLIP_COUNT, WALK_COUNT = 1.0, 20.0, 1.0, 5.0, 2.0  # residuals
+POSITION_COUNT, UPWARDS_COUNT, OFFSET_COUNT, SLIP_COUNT = 1.0, 20.0, 1.0, 5.0  # residuals
 SCATTER_COUNT, SHAPE_COUNT, SHARE_COUNT, ROWS_COUNT = 10.0, 20.0, 10.0, 1.0
 USUAL_SLIP = math.radians(0.6)
 USUAL_SPREAD = 1.4  # of the logarithm of a velocity's variance among receivers
@@ -176,8 +176,8 @@ def update_noise(
 ) -> tuple[Noise, Components]:
     """Return the noise one step on, and its components.
 
-    usual: noise before any residual. stated: names of densities that the settings state (accel_noise, gyro_noise,
-    accel_bias_walk, gyro_bias_walk); they stay.
+    usual: noise before any residual. stated: names of densities that the settings state (accel_noise, gyro_noise),
+    which are kept.
     """
     noise, now = graph.noise, graph.noise.inertial
     found = components_of(graph, step, covariances, binned)
@@ -190,7 +190,6 @@ def update_noise(
     rough = None if binned.rough is None else binned.rough[found.chosen]
     inertial = replace(now, accel=accel, gyro=_density(found.rate, now.gyro, scatter.gyro))
     inertial = _spread_out(inertial, found, rough)
-    inertial = _bias_walks(step, covariances, inertial, usual.inertial)
     inertial = replace(inertial, **{_FIELDS[name]: getattr(usual.inertial, _FIELDS[name]) for name in stated})
     better = replace(
         noise,
@@ -207,12 +206,7 @@ def update_noise(
     return better, found
 
 
-_FIELDS = {
-    "accel_noise": "accel",
-    "gyro_noise": "gyro",
-    "accel_bias_walk": "accel_bias_walk",
-    "gyro_bias_walk": "gyro_bias_walk",
-}
+_FIELDS = {"accel_noise": "accel", "gyro_noise": "gyro"}
 
 
 def _ratio(squares: float, expected: float, count: float, usual: float = 1.0, most: float = MOST_STEP) -> float:
@@ -350,19 +344,6 @@ def _offset_sigma(step: Step, covariances: Covariances, noise: Noise) -> Array:
     if np.mean(np.isfinite(step.rows["gps_position"].sigma[:, 2])) < 0.5:
         ratio[2] = 1.0
     return np.asarray(np.minimum(noise.offset_sigma * ratio, noise.offset_most))
-
-
-def _bias_walks(step: Step, c: Covariances, noise: InertialNoise, usual: InertialNoise) -> InertialNoise:
-    """Biases walk by no less than those of such sensors; WALK_COUNT residuals say by as much."""
-    state, found = step.after, []
-    parts = (ACCEL_BIAS, state.accel_bias_s), (GYRO_BIAS, state.gyro_bias_s)
-    for (part, bias), walk, least in zip(parts, noise.walks, usual.walks, strict=True):
-        own, cross = (np.einsum("kii->ki", block)[:, part] for block in (c.keyframes, c.neighbours))
-        given = walk**2 * state.interval
-        squares = float(np.sum(np.diff(bias, axis=0) ** 2)) / given
-        expected = float(np.sum(1.0 - (own[1:] + own[:-1] - 2.0 * cross) / given))
-        found.append(max(walk * _ratio(squares, expected, WALK_COUNT, least / walk) ** HASTE, least))
-    return replace(noise, accel_bias_walk=found[0], gyro_bias_walk=found[1])
 
 
 def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
