@@ -18,7 +18,6 @@ from smoother.estimate.solvers.variance_components import SMALLEST_POSITION
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
-from smoother.units import DEG
 
 # s^2, of the response: what an antenna half a metre above a box that leans by 2.2 mrad to a m/s^2 shows of its own
 ANTENNA_LEANS = 1.1e-3
@@ -27,28 +26,16 @@ ROUND_THE_COLUMN = 0.1
 # s, of what a filter before the sampling holds a sample back by beyond the mean that it is taken for: those that are
 # usual with sensors of loggers, of 41 to 184 Hz, do so by 0 to 4 ms, and no file says which it was
 FILTERS = 1.5e-3
-# s, and m of the arm, that delays of boxes whose rates do not tell attitudes are off by beyond their own sigmas, rms:
-# 14 sessions of three sorts, karts and boxes on wheels with 60-90 deg/s of vibration in samples of 25 Hz
-UNSTEADY_DELAY, UNSTEADY_ARM = 0.02, 0.2
-# rad/s/sqrt(Hz) of the rates about the motion, from which on delays miss some of that, and all. Harsh simulated karts
-# and real ones on the wheel have 2.4 to 3.2 deg/s; six shaken boxes of 4.4 to 5.7 were off by 20 ms and 0.3 m rms
-DOUBTED, UNTOLD = 3.5 * DEG, 5.0 * DEG
 
 
-def doubt_by_rates(gyro: float) -> float:
-    """Share, 0 to 1, of UNSTEADY_DELAY and UNSTEADY_ARM that delays and arm miss beside rates of density `gyro`."""
-    return float(np.clip(math.log(max(gyro, 1e-12) / DOUBTED) / math.log(UNTOLD / DOUBTED), 0.0, 1.0))
+def sample_time_sigma(sampling: Sampling, stated: float | None) -> float:
+    """Sigma, s, of the time at which a sample of `sampling` is true; stated: its delay, s, where it is known.
 
-
-def sample_time_sigma(sampling: Sampling, stated: float | None, unsteady: float = 0.0) -> float:
-    """Sigma, s, of when a sample of `sampling` is true; stated: its delay, s, where it is known.
-
-    unsteady: in parts of UNSTEADY_DELAY, what delays miss where rates do not tell attitudes.
-    Else it is taken for the mean since the one before. Of a logger that stamps what is at that moment all latencies are
-    longer by half of that, of one behind a filter they are shorter.
+    Otherwise a sample is the mean since the one before. With a logger that stamps instantaneous values all latencies
+    are longer by half of that, with one behind a filter they are shorter.
     """
     of_samples = math.hypot(0.5 * sampling.every / math.sqrt(3.0), FILTERS) if stated is None else 0.0
-    return math.hypot(of_samples, sampling.stamp_sigma, UNSTEADY_DELAY * unsteady)
+    return math.hypot(of_samples, sampling.stamp_sigma)
 
 
 def identified_values(
@@ -60,10 +47,9 @@ def identified_values(
     the session shows. sampling: see :func:`sample_time_sigma`.
     """
     known = found.known
-    unsteady = doubt_by_rates(known.noise.inertial.gyro)
     return {
-        **_of_the_receiver(found, config, sample_time_sigma(sampling, config.imu_delay, unsteady)),
-        "lever_arm_b": _lever_arm(found, mounting, config, unsteady),
+        **_of_the_receiver(found, config, sample_time_sigma(sampling, config.imu_delay)),
+        "lever_arm_b": _lever_arm(found, mounting, config),
         "R_bs": _mounting(found, mounting, config),
         **_rectification(found),
         **_noise(found, config),
@@ -134,8 +120,8 @@ def _of_the_receiver(found: Estimated, config: SessionConfig, moment: float) -> 
     return out
 
 
-def _lever_arm(found: Estimated, mounting: FittedMounting, config: SessionConfig, unsteady: float) -> Identified:
-    """The arm from the IMU to the antenna, in b; unsteady: see :func:`sample_time_sigma`."""
+def _lever_arm(found: Estimated, mounting: FittedMounting, config: SessionConfig) -> Identified:
+    """The arm from the IMU to the antenna, in b."""
     state, known = found.state, found.known
     geometry, prior = state.geometry, known.priors.constants["lever_arm"][1][0]
     covariance_s = _covariance(found, "lever_arm")
@@ -144,7 +130,7 @@ def _lever_arm(found: Estimated, mounting: FittedMounting, config: SessionConfig
     # an arm that keeps to the course is not in the axes of a box that turns beside it
     R_bs = geometry.level_axes_s if geometry.is_steered else mounting.R_bs
     arm_b, covariance = R_bs @ state.constants["lever_arm"], R_bs @ covariance_s @ R_bs.T
-    beside = math.hypot(ROUND_THE_COLUMN if geometry.is_steered else 0.0, UNSTEADY_ARM * unsteady)
+    beside = ROUND_THE_COLUMN if geometry.is_steered else 0.0
     sigma_b = np.hypot(np.sqrt(np.diag(covariance)), beside * np.array([1.0, 1.0, 0.0]))
     # The value stays where it is not observable: it is the one between IMU and antenna in the trajectory.
     observable = bool(np.all(sigma_b[:2] < OBSERVABLE * prior))

@@ -16,7 +16,7 @@ from smoother.estimate.fixes.slow_errors import SlowErrors, slow_errors
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.output.dense_rows import TOGETHER, DenseRows, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated, attitude_variance, without_samples
-from smoother.estimate.output.identified import doubt_by_rates, identified_values, sample_time_sigma
+from smoother.estimate.output.identified import identified_values, sample_time_sigma
 from smoother.estimate.output.joint import WithUnseen, usual_change
 from smoother.estimate.output.mounting import FittedMounting, swing_on_the_wheel
 from smoother.estimate.output.residuals import row_statistics
@@ -75,8 +75,7 @@ def build_trajectory(
     report = _report(found, identified, keyframes, is_on_wheel=swing is not None)
     t = _times(session, pauses, rate)
     rows = DenseRows.empty(len(t))
-    unsteady = doubt_by_rates(noise.inertial.gyro) if session.config.gps.position_latency is None else 0.0
-    moment = sample_time_sigma(sampling, session.config.imu_delay, unsteady)
+    moment = sample_time_sigma(sampling, session.config.imu_delay)
     for part in parts_of(t, pauses):
         rows.fill(part, t[part], found, mounting, source, keyframes)
         rows.add_time_uncertainty(part, moment, sampling.stamp_sigma)

@@ -20,7 +20,6 @@ from smoother.estimate.output.problems import early
 from smoother.estimate.output.residuals import NoiseUncertainty
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
-from smoother.units import DEG
 
 from .still_state import state_of
 
@@ -106,16 +105,6 @@ def test_an_arm_that_keeps_to_the_course_says_less_of_antenna_and_receiver() -> 
     assert wheel["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 0.01 * 0.5))
     assert frame["lever_arm_b"].sigma == pytest.approx(np.full(3, 2e-4))
     assert wheel["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-4, [0.1, 0.1, 0.0]))
-
-
-def test_delays_miss_more_beside_rates_that_do_not_tell_attitudes() -> None:
-    steady, between, unsteady = (told(0.0, gyro=gyro * DEG) for gyro in (3.4, 4.5, 5.0))
-    own = math.hypot(2e-3, 1.5e-3)
-    assert steady["gps_position_latency"].sigma == pytest.approx(own)
-    assert unsteady["gps_position_latency"].sigma == pytest.approx(math.hypot(own, 0.02))
-    sigma = between["gps_velocity_latency"].sigma
-    assert isinstance(sigma, float) and own < sigma < 0.02
-    assert unsteady["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-3, [0.2, 0.2, 0.0]))
 
 
 def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
