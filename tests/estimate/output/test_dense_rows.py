@@ -4,11 +4,9 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.model.imu import BinnedImu
-from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, State
-from smoother.estimate.output.dense_rows import DenseRows, _between_samples, _bridge
-from smoother.estimate.output.estimated import antenna_covariance, bend_covariance, track_variance
+from smoother.estimate.output.dense_rows import DenseRows
+from smoother.estimate.output.estimated import antenna_covariance, track_variance
 from smoother.estimate.solvers.covariance import Covariances
 
 from .still_state import state_of
@@ -23,35 +21,6 @@ def drawn(rng: np.random.Generator) -> tuple[Array, Covariances]:
     x, c = root[: K * KEYFRAME_SIZE].reshape(K, KEYFRAME_SIZE, -1), root[K * KEYFRAME_SIZE :]
     own, neighbours = np.einsum("kir,kjr->kij", x, x), np.einsum("kir,kjr->kij", x[:-1], x[1:])
     return root, Covariances(own, neighbours, c @ c.T, np.einsum("kir,jr->kij", x, c))
-
-
-def test_between_two_known_ends_velocity_is_unsure_by_the_integral_of_the_noise() -> None:
-    rng = np.random.default_rng(3)
-    R_ns, shape = so3.exp(rng.normal(size=(K, 3))), ((0.5, 0.0, 0.0), (0.0, 1.0, 0.2), (0.0, 0.2, 1.5))
-    steps = 2000  # of white force, from one keyframe to the next
-    dt = T / steps
-    velocity = dt * np.tri(steps)  # at the end of each step, of the force in each
-    position = dt * np.tri(steps) @ velocity
-    ends, halfway = np.stack([velocity[-1], position[-1]]), velocity[steps // 2 - 1]
-    left = halfway - halfway @ ends.T @ np.linalg.solve(ends @ ends.T, ends)
-    no, density = np.zeros((K - 1, 1, 3)), 0.7
-    binned = BinnedImu(TIMES, T, no, no, np.zeros(K - 1))
-    noise = InertialNoise(density, 1.0, 0.0, 0.0, accel_shape=shape)
-    want = density**2 / dt * (left @ left) * R_ns[:-1] @ np.array(shape) @ R_ns[:-1].transpose(0, 2, 1)
-    np.testing.assert_allclose(_between_samples(binned, noise, R_ns)[:-1], want, atol=5e-3 * want.max())
-
-
-def test_the_bend_is_the_covariance_of_the_cubic_less_the_mean_of_its_ends() -> None:
-    rng = np.random.default_rng(4)
-    R_ns = so3.exp(rng.normal(size=(K, 3)))
-    root, covariances = drawn(rng)
-    errors = root[: K * KEYFRAME_SIZE].reshape(K, KEYFRAME_SIZE, -1)
-    position, velocity = R_ns @ errors[:, TRANSLATION], errors[:, VELOCITY]
-    halfway = 1.5 / T * (position[1:] - position[:-1]) - 0.25 * (velocity[1:] + velocity[:-1])
-    bend = bend_covariance(state_of(TIMES, R_ns), covariances)
-    for i in range(K - 1):
-        middle, first, second = (x @ x.T for x in (halfway[i], velocity[i], velocity[i + 1]))
-        np.testing.assert_allclose(bend[i], middle - 0.5 * (first + second), rtol=1e-9, atol=1e-12)
 
 
 def antenna(state: State, k: int, x: Array) -> Array:
@@ -82,31 +51,6 @@ def test_antenna_and_line_err_with_attitude_motion_and_arm() -> None:
     line = errors[:, 9:11]
     np.testing.assert_allclose(track[:, 0], 0.5 * np.sum(line**2, axis=(1, 2)), rtol=1e-5)
     np.testing.assert_allclose(track[:-1, 1], 0.5 * np.sum(line[:-1] * line[1:], axis=(1, 2)), rtol=1e-4, atol=1e-7)
-
-
-def test_the_line_is_unsure_by_the_walk_of_the_offset_but_for_what_a_fix_tells_of_it() -> None:
-    rng, n, sigma, tau, white, before = np.random.default_rng(5), 400_000, 2.0, 60.0, 0.2, 0.15
-    phi = np.exp(-0.5 * T / tau)  # to the middle of the interval, and on
-    start = sigma * rng.normal(size=n)
-    middle = phi * start + sigma * np.sqrt(1.0 - phi**2) * rng.normal(size=n)
-    end = phi * middle + sigma * np.sqrt(1.0 - phi**2) * rng.normal(size=n)
-    walked = middle - 0.5 * (start + end)
-    noise_of_fix = white**2 + np.var(walked)  # all of it, as it is found from residuals
-    gain = before**2 / (before**2 + noise_of_fix)
-    error = before * rng.normal(size=n)  # of the line, that of the graph, before the fix
-    seen = walked + white * rng.normal(size=n)
-    after = error + gain * (seen - error)
-    line = (1.0 - gain) * before**2
-    noise = Noise(
-        InertialNoise(0.5, 0.01, 0.0, 0.0),
-        np.full(3, np.sqrt(noise_of_fix)),
-        np.full(3, 0.1),
-        np.full(3, sigma),
-        tau,
-    )
-    want = np.var(after - walked) - line
-    np.testing.assert_allclose(_bridge(np.array([line]), noise, T), want, rtol=0.05)
-    assert want < 0.8 * np.var(walked)
 
 
 def test_who_does_not_know_when_does_not_know_how_fast_either() -> None:
