@@ -1,11 +1,9 @@
-"""Magnetic heading: calibrate the field against the attitude of a first solution, and judge whether it is of use.
+"""Magnetic heading: the field is calibrated against the attitude of a first solution, and accepted or rejected.
 
-In a kart the magnetometer sits among iron and currents, and laps show only part of what a calibration needs: the kart
-stays nearly level. What laps do show is fitted here, field_s = A R_sn B_n + h, with the matrix drawn towards a multiple
-of one where the laps are silent. The graph then uses the heading of the corrected field, with an unknown offset of its
-own: relative to itself the field may steady the yaw, but it cannot contradict the course. Only a field that needs no
-correction, because it was calibrated before, also says where north is. Where the field disagrees with the gyro it is
-left out.
+In a kart the magnetometer sits among iron and currents, and the kart stays nearly level, so that laps show only a part
+of a calibration: field_s = A R_sn B_n + h, with a prior that A is a multiple of one. The graph then uses the heading of
+the corrected field with an unknown offset of its own, so that it cannot contradict the course. Only a field that needs
+no correction also shows north. A field that disagrees with the gyroscope is rejected.
 """
 
 from dataclasses import dataclass
@@ -21,21 +19,21 @@ from smoother.frames import wrap_angle
 from smoother.samples import MagSamples
 
 NEEDS_NO_FIT = np.radians(4.0)  # rms and mean of the heading error of a field that was calibrated before
-CALIBRATED_OFFSET = np.radians(0.7)  # of such a field: 0.36 by the World Magnetic Model's own account, and the iron
+CALIBRATED_OFFSET = np.radians(0.7)  # of such a field: 0.36 of the World Magnetic Model, and iron
 UNKNOWN_OFFSET = np.pi / 4.0
-USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
-FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better
-REPEATING = np.radians(0.7)  # what iron and fit leave in every direction of the compass, lap after lap
+USELESS = np.radians(20.0)  # rms of the heading beyond which the field is rejected
+FLOOR = np.radians(2.0)  # currents of the engine and iron of the track
+REPEATING = np.radians(0.7)  # error of iron and fit in each direction, the same in every lap
 DIRECTIONS = 4.0  # cosine and sine of the heading and of its double: hard and soft iron
-FEWEST = 20  # headings; fewer cannot be judged
-SPACING = 1.0  # s between heading factors, since the field's errors last
+FEWEST = 20  # headings
+SPACING = 1.0  # s between heading factors: the errors of the field last
 LONGEST_MEMORY = 30  # headings
-# Parts of the field's strength, beforehand: of what iron turns and stretches, in each entry, and of what it adds
+# Priors in parts of the strength of the field: soft iron, in each entry, and hard iron
 ANY_IRON, ANY_HARD_IRON = 0.15, 2.0
-# Second largest eigenvalue of the covariance of the field's direction in s, from which on its fit is one: laps have
-# 0.05 where the field is steep, a kart that never drives less than 0.0001
+# Least second eigenvalue of the covariance of the field's direction in s: laps have 0.05 where the field is steep, a
+# parked kart less than 0.0001
 TURNED = 0.005
-COMMON_LEAN = np.radians(1.0)  # of all attitudes, by biases of force that stay
+COMMON_LEAN = np.radians(1.0)  # common error of all attitudes by biases of force
 RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 
 
@@ -43,7 +41,7 @@ RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 class FieldFit:
     """measured = matrix @ field_s + iron, both in the unit of the readings: (3, 3), (3,); field_s is a unit vector.
 
-    matrix_sigma (3, 3), iron_sigma (3,): their sigmas. turned: how much field_s turned about in s, see :data:`TURNED`.
+    matrix_sigma (3, 3), iron_sigma (3,): their sigmas. turned: see :data:`TURNED`.
     """
 
     matrix: Array
@@ -54,7 +52,7 @@ class FieldFit:
 
     @property
     def is_reported(self) -> bool:
-        """Whether the kart turned about enough to tell iron from the field."""
+        """Whether the kart turned enough to separate iron from the field."""
         return self.turned > TURNED
 
     @property
@@ -64,7 +62,7 @@ class FieldFit:
 
     @property
     def soft_iron(self) -> Array:
-        """What takes readings without `iron` to the field as it is but for its strength, as of a calibration."""
+        """Matrix (3, 3) from readings without `iron` to a field of their strength, as in a calibration."""
         return np.asarray(self.strength * np.linalg.inv(self.matrix))
 
     @property
@@ -78,9 +76,8 @@ class FieldFit:
 class Heading:
     """Heading measurements at the left keyframe of intervals (N,): corrected field_s (N, 3), any unit.
 
-    field_yaw rad is the direction of the horizontal field in n, sigma rad of each, or of all. offset_sigma rad of what
-    they have in common; without has_offset that is in field_yaw already. fit: what corrected them, None of a calibrated
-    field.
+    field_yaw rad: direction of the horizontal field in n; sigma rad: of each, or of all; offset_sigma rad: of their
+    common error, which is in field_yaw already without has_offset. fit: their correction, None of a calibrated field.
     """
 
     interval: IntArray
@@ -122,21 +119,16 @@ def heading_from_field(
     keep = np.abs(error) < 3.0 * max(rms, FLOOR)
     if rms > USELESS or np.count_nonzero(keep) < 0.5 * len(at):
         return None
-    # the floor is for what lasts already; what goes beyond it counts as often as it is a new error
     beyond = max(rms**2 - FLOOR**2, 0.0) * _memory(error[keep])
     alike = 1.0 if still is None else _of_stand(at[keep], still, step)
-    told = np.count_nonzero(keep) * float(np.mean(1.0 / alike))  # headings that are not of one stand
-    sigma = np.sqrt(alike * (FLOOR**2 + beyond + (repeating(told) if fitted else 0.0)))
+    independent = np.count_nonzero(keep) * float(np.mean(1.0 / alike))
+    sigma = np.sqrt(alike * (FLOOR**2 + beyond + (repeating(independent) if fitted else 0.0)))
     fit = _with_sigmas(matrix, iron, expected, measured, of_fit) if fitted else None
     return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma, fit=fit)
 
 
 def _of_stand(at: IntArray, still: IntArray, step: int) -> Array:
-    """How many headings (N,) at keyframes `at`, one in `step`, are of the same stand; 1 of a kart that drives.
-
-    While it stands every heading has the error of the one before: the iron of one direction, and an engine that idles
-    or is off, beside one that drove while the field was fitted. All of a stand tell what one does.
-    """
+    """Number (N,) of headings at keyframes `at`, one in `step`, of the same stop, which share one error; else 1."""
     count = np.ones(len(at))
     resting = np.flatnonzero(np.isin(at, still))
     for stand in np.split(resting, np.flatnonzero(np.diff(at[resting]) > 2 * step) + 1):
@@ -145,19 +137,17 @@ def _of_stand(at: IntArray, still: IntArray, step: int) -> Array:
 
 
 def repeating(count: float) -> float:
-    """Variance rad^2 of each of `count` headings of a fitted field, lest together they know more than there is to know.
+    """Variance rad^2 of each of `count` headings of a fitted field by the error of iron, which every lap repeats.
 
-    What is left of the iron depends on the heading and comes back in every lap, and the correction was fitted to the
-    attitude that the headings are to tell: more of them do not tell any direction better than to REPEATING.
+    All of a direction together are known to REPEATING.
     """
     return float(REPEATING**2 * count / DIRECTIONS)
 
 
 def _memory(error: Array) -> float:
-    """Number of successive errors (N,) that tell no more than one does, since they last; at least 1.
+    """Number of successive errors (N,) that count as one; at least 1.
 
-    The engine's current, a kerb of iron and the fit itself err for many seconds in one direction. Source: the sum of
-    autocorrelations up to the first that is not positive (Geyer 1992).
+    Source: the sum of autocorrelations up to the first that is not positive (Geyer 1992).
     """
     centred = error - error.mean()
     power = float(centred @ centred)
@@ -182,8 +172,7 @@ def _averages(
 ) -> tuple[IntArray, tuple[Array, Array, Array]]:
     """Keyframes (M,), one in `step`, and the means around each of two fields (M, 3) and of the weight (M,).
 
-    The readings at t (N,) are turned with the attitude from their own time to the keyframe's before they are averaged,
-    each with its weight (N,).
+    Readings at t (N,) with weights (N,) are averaged in n.
     """
     at = np.arange(0, len(state.t) - 1, step)
     nearest = np.clip(np.round((t - state.t[0]) / (step * state.interval)).astype(np.int64), 0, len(at) - 1)
@@ -224,12 +213,10 @@ def _fit(expected: Array, measured: Array) -> tuple[Array, Array, Array]:
 
 
 def _with_sigmas(matrix: Array, iron: Array, expected: Array, measured: Array, weight: Array) -> FieldFit:
-    """The fit of `expected` (N, 3) to `measured` (N, 3), weights (N,), with its sigmas by what is left of the readings.
+    """The fit of `expected` (N, 3) to `measured` (N, 3), weights (N,), with sigmas from its residuals.
 
-    A kart stays level: what iron does upwards, laps hardly tell from what it adds, and the fit leaves it where it was
-    drawn to. So both are as unsure as iron beforehand, as far as the fit is drawn. Errors of neighbouring readings are
-    alike; those of the attitude are the same in all. What is left is mostly the engine's, whose current has a mean, and
-    which comes back at the same headings in every lap. Source: Hoerl & Kennard 1970 (covariance of a ridge estimate).
+    Source: Hoerl & Kennard 1970 (covariance of a ridge estimate). The residuals repeat in every lap, so that their
+    variance is added whole.
     """
     design = np.concatenate([expected, np.ones((len(expected), 1))], axis=1)
     residual = measured - expected @ matrix.T - iron

@@ -1,10 +1,9 @@
 """Inertial samples between keyframes: rate reduction, and the dense path they describe.
 
-The samples are first averaged into equal bins, about 50 a second whatever the logger's rate, because GTSAM costs
-microseconds per sample from Python. The average is rotation aware: the force is resolved in the axes of the start of
-its bin (sculling), the rates include coning, so that the bins integrate to the same motion as the samples did; it also
-makes GTSAM's first-order step, which rotates the force with the attitude at the start of the step, exact to second
-order. Axes are s throughout: the graph estimates the attitude of the sensor, R_ns.
+The samples are averaged into equal bins, because GTSAM costs microseconds per sample from Python. The force is resolved
+in the axes of the start of its bin (sculling), and the rates include coning, so that the bins integrate to the same
+motion as the samples: GTSAM's first-order step is then exact to second order. Axes are s: the graph estimates the
+attitude of the sensor, R_ns.
 """
 
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from smoother.samples import BESIDE, ImuSamples, usual_steps
 
 GAP_FACTOR = 3.5  # a step longer than this many usual ones is a gap: nothing was measured in it
 MOSTLY_MISSING = 0.5  # share of an interval without samples, above which its attitude is interpolated
-SLOW = 0.3  # s: what lasts longer may be the kart's motion, and
+SLOW = 0.3  # s; vibration is quicker
 NEARBY = 0.2  # s over which vibration is averaged
 ROUGHEST = 5.0  # times the usual power of vibration
 IN_CACHE = 200  # intervals whose samples stay in the processor's cache: 40 s
@@ -81,11 +80,9 @@ def corrected(binned: BinnedImu, state: State) -> BinnedImu:
 
 
 def shaken(binned: BinnedImu) -> Array:
-    """Power (K-1, 2) of the vibration of force and of rate beyond the session's mean, over it.
+    """Power (K-1, 2) of the vibration of force and of rate beyond the session's mean, over it, at most ROUGHEST.
 
-    A sensor of this class turns vibration into a push: its springs and its electronics are not quite symmetric, the
-    bias follows the vibration's power (IEEE Std 1293, vibration rectification). A kerb or a damaged sample shakes by
-    far more than any that could tell how; it counts as ROUGHEST.
+    The bias of an accelerometer follows the power of vibration (IEEE Std 1293, vibration rectification).
     """
     if binned.rough is None:
         return np.zeros((len(binned.missing), 2))
@@ -95,8 +92,8 @@ def shaken(binned: BinnedImu) -> Array:
 def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias: Array) -> BinnedImu:
     """Average `imu` into n_bins equal bins per interval of the equally spaced keyframe times t (K,).
 
-    The biases (3,), m/s^2 and rad/s, are taken off for the rotations inside a bin and put back, so that the bins are
-    measurements like the samples. Where samples are missing they are interpolated, and `missing` says so.
+    The biases (3,), m/s^2 and rad/s, are removed for the rotations inside a bin and added again, so that the bins are
+    measurements like the samples. Missing samples are interpolated.
     Source: Savage 1998, coning and sculling, second order.
     """
     n_intervals = len(t) - 1
@@ -128,9 +125,9 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
 
 
 def _over_mean(power: Array, missing: Array) -> Array:
-    """Each column of power (N, c) over its mean; one where there is none, or where the samples are damaged.
+    """Each column of power (N, c) over its mean in sampled intervals; 1 where there is none.
 
-    missing (N,): share of each interval without samples. Where there are none at all nothing shakes, nor is it calm.
+    missing (N,): share of each interval without samples.
     """
     usual = power if np.all(telling := mostly_sampled(missing)) else power[telling]
     with np.errstate(all="ignore"):
@@ -139,27 +136,20 @@ def _over_mean(power: Array, missing: Array) -> Array:
 
 
 def mostly_sampled(missing: Array) -> BoolArray:
-    """Mask of the intervals that figures of the samples are taken from: those that have some, all where few have none.
-
-    missing (N,): share of each interval without samples.
-    """
+    """Mask of the intervals with samples; all where few have none. missing (N,): shares without samples."""
     sampled = missing < 1.0
     return sampled if 0.0 < np.mean(sampled) < 1.0 - FEW else np.ones_like(sampled)
 
 
 def vibration(values: Array, dt: float) -> Array:
-    """Power (B,) of what is quicker than a kart in the bins `values` (B, 3), which are dt s long, around each of them.
-
-    A tone that the sampling folds down passes through all low frequencies while the engine revs up, and for a moment
-    looks like a steady push. Only the oscillation before and after it gives it away.
-    """
-    with np.errstate(all="ignore"):  # damaged samples end in no number
+    """Power (B,) of vibration around each of the bins `values` (B, 3), which are dt s long."""
+    with np.errstate(all="ignore"):  # damaged samples
         quick = values - gaussian_mean(values, SLOW / dt)
         return gaussian_mean(np.mean(quick**2, axis=1), NEARBY / dt)
 
 
 def _samples_around(imu: ImuSamples, start: float, end: float) -> ImuSamples:
-    """The samples from the last one before start to the first one after end, and those that tell their rate."""
+    """The samples from the last one before start to the first one after end, and some beside them for their rate."""
     first = max(int(np.searchsorted(imu.t, start)) - 1 - BESIDE, 0)
     last = int(np.searchsorted(imu.t, end, side="right")) + 1 + BESIDE
     return ImuSamples(
