@@ -28,8 +28,6 @@ _NAMES = {
     "imu_clock_drift": "IMU clock, fast by",
     "gps_offset_sigma": "GPS slow error",
     "gps_offset_tau": "GPS slow error, time constant",
-    "accel_rectification": "vibration offset",
-    "accel_rectification_by_rate": "rocking offset",
 }
 # constants of no interest to a driver
 _ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma", "mag_hard_iron", "mag_heading_offset", "gps_offset_change")

@@ -19,7 +19,7 @@ from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import HOLE
 from smoother.estimate.output.estimated import Estimated, estimated, known_from
 from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
-from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held, with_rectification
+from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held
 from smoother.estimate.solvers.incremental import FOUND, solve_as_stream
 from smoother.estimate.solvers.variance_components import USUAL_SLIP
 from smoother.samples import Problem as SessionProblem
@@ -56,9 +56,10 @@ def solve(session: Session, start: Start, options: GraphOptions, say: Say) -> So
 
 def _identified(start: Start, part: Solution, compass: Compass, options: GraphOptions, say: Say) -> Solution:
     """The solution of a start, with the constants and noise of a part as initial values."""
-    problem, noise = with_rectification(problem_of(start), part), replace(part.noise, slip=None)
     wheels, sigmas = options.wheels and start.wheels, Sigmas.of(part.covariances)
-    return identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading)
+    return identify(
+        problem_of(start), replace(part.noise, slip=None), say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading
+    )
 
 
 def _streamed(start: Start, part: Solution, compass: Compass, options: GraphOptions) -> Solution:

@@ -55,7 +55,7 @@ def identify(window: Window) -> LagStart | str:
     state, noise = found.state, found.known.noise
     measured, with_wheels = replace(start.data, rolls=rolling(state, noise)), noise.slip is not None
     priors = held_at(problem_of(start), state, FREE).priors if with_wheels else start.priors
-    graph = build_graph(start.binned, measured, noise, priors, state, start.table, rectified=False)
+    graph = build_graph(start.binned, measured, noise, priors, state, start.table)
     leave = int(np.searchsorted(state.t, window.imu.t[-1] - LAG)) - 1
     if leave < 10:  # keyframes of a usable result
         return "the window is too short"

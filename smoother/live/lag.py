@@ -222,8 +222,6 @@ class FixedLag:
             self._start.noise,
             self._start.priors,
             self._state,
-            np.zeros((len(intervals), 2)),
-            rectified=False,
             before=self._before,
         )
         taken = step(graph, self._state.values())

@@ -142,9 +142,7 @@ def extrapolated(
     """
     two, interval = predicted(last, measured, t, 1.0), np.zeros(1, np.int64)
     values = two.values()
-    rows = imu_rows(
-        imu_factors([measured], interval).linearize(values), interval, two, np.zeros((1, 2)), rectified=False
-    )
+    rows = imu_rows(imu_factors([measured], interval).linearize(values), interval, two)
     by_last, by_then, by_constants = np.split(rows.jacobian()[0], [KEYFRAME_SIZE, 2 * KEYFRAME_SIZE], axis=1)
     root = np.linalg.inv(by_then[:, :_MOTION])
     moved, still = np.zeros((2, KEYFRAME_SIZE)), np.zeros(CONSTANTS_SIZE)

@@ -154,8 +154,6 @@ _NAMES = {
     "gps_offset_sigma": "GPS slow error: north, west, up",
     "gps_offset_tau": "GPS slow error, time constant",
     "gps_offset_change": "GPS slow error, change over one lap",
-    "accel_rectification": "acceleration offset by vibration, on each axis",
-    "accel_rectification_by_rate": "acceleration offset by rocking, on each axis",
 }
 
 

@@ -20,8 +20,6 @@ Document = dict[str, object]
 # reported only if identified; most loggers have none
 ONLY_IF_IDENTIFIED = (
     "gps_velocity_response",
-    "accel_rectification",
-    "accel_rectification_by_rate",
     "accel_delay",
     "imu_clock_drift",
 )

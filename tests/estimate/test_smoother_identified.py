@@ -126,36 +126,6 @@ def test_what_a_parked_kart_shows_is_no_iron_and_no_slip() -> None:
     assert slip is None or (slip.source, slip.observable) == ("default", False)
 
 
-def shaken(session: Session, push: np.ndarray) -> Session:
-    """The session as if an engine of 31 Hz shook it, whose vibration's power swells and fades, and pushes by as much.
-
-    push (3,) m/s^2 in s: where the vibration has twice its usual power.
-    """
-    assert session.imu is not None
-    imu, power = session.imu, 1.0 + 0.8 * np.sin(2.0 * np.pi * session.imu.t / 7.0)
-    shake = 5.0 * np.sqrt(power) * np.sin(2.0 * np.pi * 31.0 * imu.t)
-    force = imu.specific_force_s + shake[:, None] + (power - 1.0)[:, None] * push
-    return replace(session, imu=replace(imu, specific_force_s=force))
-
-
-def test_a_push_that_follows_the_vibration_is_found() -> None:
-    push = np.array([1.0, -0.6, 0.8])
-    simulation = simulate_preset("kart", 5, duration=150.0, imu_accel_tone=0.0)
-    session = shaken(prepare(simulation.raw), push)
-    found = smoothed(simulation, session)
-    value = found.trajectory.report.identified["accel_rectification"]
-    assert value.observable
-    error = np.asarray(value.value) - push
-    assert np.all(np.abs(error) < 3.0 * np.asarray(value.sigma))
-    assert np.all(np.abs(error) < 0.2)
-
-
-def test_where_no_vibration_pushes_none_is_claimed() -> None:
-    value = kart().trajectory.report.identified["accel_rectification"]
-    assert not value.observable
-    assert np.max(np.abs(value.value)) < 0.1
-
-
 def low_passed(values: np.ndarray, dt: float, tau: float) -> np.ndarray:
     """Values (N, c), dt s apart, behind a low-pass of first order that begins settled."""
     share, out = 1.0 - np.exp(-dt / tau), values.copy()

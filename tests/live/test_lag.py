@@ -108,7 +108,7 @@ def whole(drive) -> Whole:
     measured = replace(
         start.data, still=np.empty(0, np.int64), unsampled=None, ground=None, rolls=rolling(state, noise)
     )
-    graph = build_graph(binned, measured, noise, start.priors, state, rectified=False)
+    graph = build_graph(binned, measured, noise, start.priors, state)
     return Whole(graph, binned, step(graph, state.values()))
 
 
@@ -126,8 +126,6 @@ def window_of(whole: Whole, first: int, end: int, prior: gtsam.NonlinearFactorGr
         graph.noise,
         graph.priors,
         whole.state.part(slice(first, end)),
-        np.zeros((len(intervals), 2)),
-        rectified=False,
         before=whole.state.part(slice(0, first)),
     )
 

@@ -21,7 +21,7 @@ from smoother.estimate.factors.motion_prior import Unsampled, motion_prior_rows
 from smoother.estimate.factors.rows import Rows, robust, with_sigma
 from smoother.estimate.factors.wheels import USUAL_WHEEL_SPEED, slip_of, slip_rows, wheel_speed_rows
 from smoother.estimate.model.heading import Heading
-from smoother.estimate.model.imu import BinnedImu, shaken
+from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, KEYS, State
@@ -248,7 +248,6 @@ def table_without(names: Collection[str]) -> tuple[Factor, ...]:
 class Graph:
     """The graph of a session for one noise: GTSAM's own factors, of the samples of the intervals `sampled` in `imu`,
     priors in `prior`, and all others by :meth:`rows`. state: times and geometry.
-    rectified: whether the rectification is unknown.
     """
 
     imu: gtsam.NonlinearFactorGraph
@@ -259,8 +258,6 @@ class Graph:
     noise: Noise
     priors: Priors
     state: State
-    shaken: Array
-    rectified: bool = True
     table: tuple[Factor, ...] = TABLE
 
     def prior_variances(self) -> Array:
@@ -281,20 +278,15 @@ def build_graph(
     priors: Priors,
     state: State,
     table: tuple[Factor, ...] = TABLE,
-    *,
-    rectified: bool = True,
 ) -> Graph:
-    """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`.
-
-    rectified: whether the rectification is unknown.
-    """
+    """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`."""
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
     preintegrated = preintegrate(binned, noise.inertial, *biases)
     sampled = np.arange(len(state.t) - 1)
     if measured.unsampled is not None:
         sampled = np.delete(sampled, measured.unsampled.at)
     imu, prior = imu_factors(preintegrated, sampled), _prior_factors(priors, noise, state)
-    return Graph(imu, prior, sampled, preintegrated, measured, noise, priors, state, shaken(binned), rectified, table)
+    return Graph(imu, prior, sampled, preintegrated, measured, noise, priors, state, table)
 
 
 def with_same_samples(graph: Graph, measured: Measurements, noise: Noise, priors: Priors, state: State) -> Graph:

@@ -38,12 +38,10 @@ def imu_factors(
     return graph
 
 
-def imu_rows(linear: gtsam.GaussianFactorGraph, at: IntArray, state: State, shaken: Array, *, rectified: bool) -> Rows:
+def imu_rows(linear: gtsam.GaussianFactorGraph, at: IntArray, state: State) -> Rows:
     """The IMU factors of the intervals `at` (M,) as rows of 15, whitened: rotation, position, velocity, biases.
 
-    linear: factors as GTSAM linearised them at `state`. shaken (K-1, 2): power of the
-    vibration of force and of rate beyond the session's mean, over it; it shifts the mean of an accelerometer
-    (rectification). rectified: whether the rectification is unknown; it is subtracted in either case.
+    linear: factors as GTSAM linearised them at `state`.
     """
     n = len(at)
     read = [linear.at(k).jacobian() for k in range(n)]
@@ -53,16 +51,14 @@ def imu_rows(linear: gtsam.GaussianFactorGraph, at: IntArray, state: State, shak
         np.concatenate([A[:, :, part] for part in side] + [np.zeros((n, SIZE, 3))], axis=2) for side in _SIDES
     )
     by_bias = left[:, :, 9:15] + right[:, :, 9:15]  # of both biases alike: their walk has no part in it
-    force, rate, shaken = *(values[at] for values in _force_and_rate(state)), shaken[at]
-    scale, bent = (state.constants[name].reshape(3, 2) for name in ("accel_scale", "rectification"))
-    error = np.hstack([force @ scale.T + shaken @ bent.T, rate[:, None] * state.constants["gyro_scale"]])
+    force, rate = (values[at] for values in _force_and_rate(state))
+    accel_scale, gyro_scale = state.constants["accel_scale"].reshape(3, 2), state.constants["gyro_scale"]
+    error = np.hstack([force @ accel_scale.T, rate[:, None] * gyro_scale])
     residual = (by_bias @ error[:, :, None])[:, :, 0] - b
     constants = {
         "accel_scale": (by_bias[:, :, :3, None] * force[:, None, None, :]).reshape(n, SIZE, 6),
         "gyro_scale": by_bias[:, :, 3:] * rate[:, None, None],
     }
-    if rectified:
-        constants["rectification"] = (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6)
     full = np.ones((n, SIZE))
     return Rows("imu", at, residual, full, left, right, constants, full[:, 0])
 

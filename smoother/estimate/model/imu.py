@@ -22,7 +22,6 @@ GAP_FACTOR = 3.5  # a step longer than this many usual ones is a gap: nothing wa
 MOSTLY_MISSING = 0.5  # share of an interval without samples, above which its attitude is interpolated
 SLOW = 0.3  # s; vibration is quicker
 NEARBY = 0.2  # s over which vibration is averaged
-ROUGHEST = 5.0  # times the usual power of vibration
 IN_CACHE = 200  # intervals whose samples stay in the processor's cache: 40 s
 TOGETHER = 1 << 13  # intervals whose samples are worked on together; half an hour
 
@@ -67,26 +66,15 @@ class BinnedImu:
 
 
 def corrected(binned: BinnedImu, state: State) -> BinnedImu:
-    """Return the bins with scale, misalignment and rectified vibration removed, to first order, as `state` has them."""
+    """Return the bins with the scale and misalignment of `state` removed, to first order."""
     level, up = np.split(state.geometry.level_axes_s, [2])
     accel_error = state.constants["accel_scale"].reshape(3, 2) @ level
     gyro_error = np.outer(state.constants["gyro_scale"], up[0])
-    rectified = shaken(binned) @ state.constants["rectification"].reshape(3, 2).T
     return replace(
         binned,
-        specific_force_s=binned.specific_force_s - binned.specific_force_s @ accel_error.T - rectified[:, None, :],
+        specific_force_s=binned.specific_force_s - binned.specific_force_s @ accel_error.T,
         angular_rate_s=binned.angular_rate_s - binned.angular_rate_s @ gyro_error.T,
     )
-
-
-def shaken(binned: BinnedImu) -> Array:
-    """Power (K-1, 2) of the vibration of force and of rate beyond the session's mean, over it, at most ROUGHEST.
-
-    The bias of an accelerometer follows the power of vibration (IEEE Std 1293, vibration rectification).
-    """
-    if binned.rough is None:
-        return np.zeros((len(binned.missing), 2))
-    return np.asarray(np.minimum(binned.rough, ROUGHEST) - 1.0)
 
 
 def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias: Array) -> BinnedImu:

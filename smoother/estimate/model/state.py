@@ -61,7 +61,6 @@ CONSTANTS = (
     ),
     Constant("accel_scale", 6, "1: error of specific force by force along the two level axes, (3, 2)", 0.01),
     Constant("gyro_scale", 3, "1: error of angular rate by the rate about up", 0.01),
-    Constant("rectification", 6, "m/s^2: force by vibration of force and of rate, (3, 2)", 0.1),
     Constant("wheel_scale", 1, "1: by which a wheel's speed is too large, over the speed", 0.2, "wheel_speed", "1"),
     Constant(
         "wheel_slip",

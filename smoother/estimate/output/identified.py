@@ -51,7 +51,6 @@ def identified_values(
         **_of_the_receiver(found, config, sample_time_sigma(sampling, config.imu_delay)),
         "lever_arm_b": _lever_arm(found, mounting, config),
         "R_bs": _mounting(found, mounting, config),
-        **_rectification(found),
         **_noise(found, config),
         **_of_factors(found),
         **wander_of_fixes(
@@ -151,19 +150,6 @@ def _mounting(found: Estimated, mounting: FittedMounting, config: SessionConfig)
         mounting.is_observable,
         "configured" if stated else "identified" if mounting.is_observable else "default",
     )
-
-
-def _rectification(found: Estimated) -> dict[str, Identified]:
-    """Force by vibration of force, and by that of rate."""
-    values, sigmas = (
-        x.reshape(3, 2).T for x in (found.state.constants["rectification"], _sigma(found, "rectification"))
-    )
-    out: dict[str, Identified] = {}
-    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), values, sigmas, strict=True):
-        seen = bool(np.min(own) < OBSERVABLE * found.known.prior_sigma("rectification")[0])
-        source = "identified" if seen else "default"
-        out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
-    return out
 
 
 def _of_factors(found: Estimated) -> dict[str, Identified]:

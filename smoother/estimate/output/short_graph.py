@@ -113,5 +113,5 @@ def short_graph(session: Session, begin: float, lasts: float) -> ShortGraph:
         constants[name] = np.zeros_like(constants[name][0]), constants[name][1]
     state = replace(part.state, constants={name: mean for name, (mean, _) in constants.items()})
     priors = replace(part.priors, constants=constants)
-    graph = build_graph(part.binned, part.data, solution.noise, priors, state, part.table, rectified=False)
+    graph = build_graph(part.binned, part.data, solution.noise, priors, state, part.table)
     return ShortGraph(graph, state.values())

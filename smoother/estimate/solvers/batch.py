@@ -52,7 +52,7 @@ def step(graph: Graph, values: gtsam.Values, free: Collection[str] = KEYS) -> St
     except RuntimeError as error:  # what GTSAM's exceptions are in Python
         raise IndeterminateError(str(error).strip().partition("\n")[0]) from error
     rows = [
-        imu_rows(inertial, graph.sampled, state, graph.shaken, rectified=graph.rectified),
+        imu_rows(inertial, graph.sampled, state),
         *graph.rows(state),
     ]
     unknown = tuple(name for name in KEYS if name in free and any(name in r.constants for r in rows))

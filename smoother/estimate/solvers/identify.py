@@ -53,7 +53,6 @@ class Problem:
     """A session or a part of it: samples, measurements, priors, and initial values.
 
     usual: noise before any residual; scatter: of the samples; stated: names of densities that the settings state.
-    rectified: whether the rectification is unknown, as in the part that identifies it.
     """
 
     binned: BinnedImu
@@ -64,7 +63,6 @@ class Problem:
     scatter: Scatter
     stated: frozenset[str] = frozenset()
     table: tuple[Factor, ...] = TABLE
-    rectified: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,17 +175,9 @@ def _with_wheels(
         del taken, chain, covariances  # as above
 
 
-def with_rectification(problem: Problem, part: Solution) -> Problem:
-    """The problem of all of a session with the rectification that a part of it has found."""
-    name = "rectification"
-    sigma = np.sqrt(np.diag(part.covariances.constants))[COLUMNS[name]]
-    priors = replace(problem.priors, constants=problem.priors.constants | {name: (part.state.constants[name], sigma)})
-    return replace(problem, priors=priors, rectified=False)
-
-
 def _graph(problem: Problem, state: State, noise: Noise) -> Graph:
     p = problem
-    return build_graph(p.binned, p.measured, noise, p.priors, state, p.table, rectified=p.rectified)
+    return build_graph(p.binned, p.measured, noise, p.priors, state, p.table)
 
 
 def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Graph:
@@ -228,7 +218,7 @@ def solve_held(
 
     covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
     """
-    problem = replace(held_at(problem, problem.state), rectified=False)
+    problem = held_at(problem, problem.state)
     slip = None if problem.state.geometry.is_steered else noise.slip
     noise = replace(noise, slip=None, constants={})
     graph, values = _graph(problem, problem.state, noise), problem.state.values()

@@ -61,13 +61,11 @@ def solve_as_stream(
     where there is none. free: names of constants that are found anew, and with the slip its sigma; the others stay.
     """
     noise, slip = replace(noise, slip=None, constants={}), noise.slip
-    held = replace(held_at(problem, problem.state, free), rectified=False)
+    held = held_at(problem, problem.state, free)
     stream = Stream(problem, noise, free)
     try:
         stream.take_all()
-        graph = build_graph(
-            problem.binned, held.measured, noise, held.priors, problem.state, problem.table, rectified=False
-        )
+        graph = build_graph(problem.binned, held.measured, noise, held.priors, problem.state, problem.table)
         stream.settle(graph)
         if heading is not None:
             held = with_heading(held, heading(stream.state))
@@ -96,7 +94,7 @@ class Stream:
     def __init__(self, problem: Problem, noise: Noise, free: tuple[str, ...] = ()) -> None:
         p = held_at(problem, problem.state)
         binned = corrected(p.binned, p.state)
-        self._graph = build_graph(binned, p.measured, noise, p.priors, p.state, p.table, rectified=False)
+        self._graph = build_graph(binned, p.measured, noise, p.priors, p.state, p.table)
         self._first, self._end = p.state, 0
         self._sampled = set(self._graph.sampled.tolist())
         self.values = p.state.part(slice(1)).values()

@@ -34,11 +34,8 @@ MOST_STEP = 3.0  # ratio of a sigma to the one before
 HASTE = 1.4  # power of a ratio: steps approach the fixed point from one side
 ENOUGH = 1000  # intervals, spread evenly, for a density to 2 %
 FEWEST_DRIVEN = 25  # intervals
-SENSOR_SCALE = {
-    "accel_scale": (1e-3, 1.5e-2),
-    "gyro_scale": (1e-3, 1.5e-2),
-    "rectification": (1e-2, 1.0),
-}  # bounds of the spread of scale and misalignment
+SENSOR_SCALE = ("accel_scale", "gyro_scale")
+LEAST_SCALE, LARGEST_SCALE = 1e-3, 1.5e-2  # bounds of the spread of scale and misalignment
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,4 +366,4 @@ def _scale_sigma(name: str, sigma: Array, step: Step, covariances: Covariances) 
     value = step.state.constants[name] + step.constants[columns]
     squares = float(np.sum((value / sigma) ** 2))
     expected = float(np.sum(1.0 - np.diag(covariances.constants)[columns] / sigma**2))
-    return np.asarray(np.clip(sigma * _ratio(squares, expected, 1.0), *SENSOR_SCALE[name]))
+    return np.asarray(np.clip(sigma * _ratio(squares, expected, 1.0), LEAST_SCALE, LARGEST_SCALE))

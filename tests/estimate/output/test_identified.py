@@ -46,7 +46,7 @@ def found(
     }
     beforehand = {c.name: (np.zeros(c.size), np.full(c.size, 0.25)) for c in CONSTANTS}
     beforehand["slip"] = (np.zeros(4), np.array([0.5, 0.01, 2e-3, 1.0]))
-    scales = {"accel_scale": np.full(6, 0.01), "gyro_scale": np.full(3, 0.01), "rectification": np.full(6, 0.01)}
+    scales = {"accel_scale": np.full(6, 0.01), "gyro_scale": np.full(3, 0.01)}
     noise = Noise(InertialNoise(0.1, gyro, 0.003, 1e-4), half, half, half, 60.0, constants=scales)
     known = Known(
         noise,
