@@ -22,7 +22,6 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.fixes.screen import has_velocities
-from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
 from smoother.estimate.preprocess.gains import Gains
 from smoother.estimate.preprocess.streams import (
     LAGS,
@@ -64,8 +63,7 @@ class Alignment:
     is_level_only: the heading of the box in the kart could not be found, for want of fixes at speed. accel_noise
     m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
     since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
-    gains: see `preprocess.gains`; None without fixes at speed. by_changes: fixes are rare, and explained are
-    turns and changes of velocity from one to the next, whichever less.
+    gains: see `preprocess.gains`; None without fixes at speed.
     """
 
     R_bs: Array
@@ -77,7 +75,6 @@ class Alignment:
     gyro_noise: float = 0.0
     problems: tuple[Problem, ...] = ()
     gains: Gains | None = None
-    by_changes: bool = False
 
     @property
     def is_misnamed(self) -> bool:
@@ -87,8 +84,6 @@ class Alignment:
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     """Fit mounting, gyro bias and lag to a whole session; see the module's text."""
-    if path.is_measured and are_rare(path.t) and (rare := align_rare(imu, path)) is not None:
-        return _of_rare(rare)
     use = sampled_at_speed(imu, path)
     if use.size < FEWEST_AT_SPEED:
         return _level_only(imu, use.size)
@@ -106,12 +101,6 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
 def _unsampled(sampled: Array, t: Array) -> BoolArray:
     """Mask (N,) of times t s in or beside a stretch without samples, also before the first and after the last one."""
     return np.asarray(in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
-
-
-def _of_rare(found: RareAlignment) -> Alignment:
-    share = max(min(found.turned, found.moved), 0.0)
-    noise = found.accel_noise, found.gyro_noise
-    return Alignment(found.R_bs, found.gyro_bias_s, found.lag, share, False, *noise, by_changes=True)
 
 
 def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
