@@ -80,7 +80,7 @@ def test_positions_stay_good_to_centimetres() -> None:
 
 
 @pytest.mark.parametrize("rate", [2.0, 5.0, 10.0])
-def test_an_accuracy_that_the_fixes_contradict_is_not_believed(rate: float) -> None:
+def test_an_accuracy_that_the_fixes_contradict_is_not_used(rate: float) -> None:
     simulation = simulate_preset("kart", 3, duration=DURATION, gnss_rate=rate, gnss_outages=())
     raw = simulation.raw
     boasting = prepare(replace(raw, gnss=replace(raw.gnss, sigma_horizontal=np.full(len(raw.gnss), 0.014))))

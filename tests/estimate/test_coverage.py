@@ -57,7 +57,7 @@ def test_errors_are_within_their_sigmas_as_often_as_an_honest_sigma_may_have_the
         assert math.sqrt(float(np.nanmean(scaled_error**2))) < most
 
 
-def test_karts_whose_figures_are_drawn_at_random_are_as_unsure_as_they_are_wrong(honesty: ModuleType) -> None:
+def test_karts_of_random_figures_have_correct_sigmas(honesty: ModuleType) -> None:
     karts = importlib.import_module("random_karts")
     scores = [karts.run(seed) for seed in range(500, 506)]
     # both delays and the arm of a session err together: six sessions hold some fifteen errors

@@ -82,7 +82,7 @@ def test_that_does_not_depend_on_how_often_the_receiver_speaks(rate: float) -> N
     assert np.all(found.rms < np.array([5.0, 5.0, 8.0]) * DEG)
 
 
-def test_a_good_compass_does_not_turn_a_kart_whose_lean_nobody_knows() -> None:
+def test_a_good_compass_does_not_turn_a_kart_of_unknown_lean() -> None:
     found = smoothed("white", 0, 10.0)
     assert np.all(found.rms < np.array([3.0, 3.0, 5.0]) * DEG)
     assert np.all(found.z < HONEST)

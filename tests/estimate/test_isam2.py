@@ -55,7 +55,7 @@ def test_the_stream_gives_the_trajectory_of_the_batch(solutions: tuple[Trajector
     assert float(np.max(np.linalg.norm(turn, axis=1) / np.min(batch.sigmas.attitude, axis=1))) < 0.5
 
 
-def test_the_stream_says_how_sure_it_is_as_the_batch_does(solutions: tuple[Trajectory, Trajectory]) -> None:
+def test_the_stream_has_the_sigmas_of_the_batch(solutions: tuple[Trajectory, Trajectory]) -> None:
     batch, stream = solutions
     assert batch.sigmas is not None
     assert stream.sigmas is not None

@@ -30,7 +30,7 @@ def parked(preset: str, seed: int, **changes: object) -> tuple[Simulation, Sessi
         ("kart", 0, {"motion_driving": True, "motion_top_speed": 1.5, "motion_standstill": 30.0}),  # pushed
     ],
 )
-def test_a_kart_that_does_not_drive_may_point_anywhere_and_tells_no_constants(
+def test_a_kart_that_does_not_drive_may_point_anywhere_and_identifies_no_constants(
     preset: str, seed: int, changes: dict[str, object]
 ) -> None:
     _, session = parked(preset, seed, **changes)

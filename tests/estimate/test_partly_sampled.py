@@ -131,7 +131,7 @@ def test_where_there_are_samples_the_result_is_as_good_as_with_samples_everywher
 
 
 @pytest.mark.parametrize("spans", PARTS)
-def test_the_mounting_is_as_far_off_as_it_says(spans: tuple[tuple[float, float], ...]) -> None:
+def test_the_error_of_the_mounting_fits_its_sigma(spans: tuple[tuple[float, float], ...]) -> None:
     part = smoothed(*spans)
     found = part.trajectory.report.identified["R_bs"]
     turn = so3.log(np.asarray(found.value) @ part.simulation.scenario.R_bs.T)
@@ -140,7 +140,7 @@ def test_the_mounting_is_as_far_off_as_it_says(spans: tuple[tuple[float, float],
 
 
 @pytest.mark.parametrize("spans", PARTS)
-def test_elsewhere_it_is_as_good_as_fixes_alone_and_says_how_good(spans: tuple[tuple[float, float], ...]) -> None:
+def test_elsewhere_it_is_as_good_as_fixes_alone_with_their_sigmas(spans: tuple[tuple[float, float], ...]) -> None:
     part = smoothed(*spans)
     rows = part.rows(sampled=False)
     velocity_n, turn, sigmas = part.velocity_error_n[rows], part.turn[rows], part.trajectory.sigmas

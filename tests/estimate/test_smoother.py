@@ -182,7 +182,7 @@ class TestKart:
         # a session of two minutes holds some twenty independent errors: its rms is known to a fifth
         assert 0.6 < np.sqrt(np.mean(normalised**2)) < 1.6
 
-    def test_velocity_is_known_as_well_as_its_sigma_says_where_a_noisy_gyro_swings_a_long_arm(self) -> None:
+    def test_the_sigma_of_velocity_is_correct_where_a_noisy_gyro_swings_a_long_arm(self) -> None:
         changes = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "imu_gyro_noise": 0.04, "imu_accel_noise": 0.08}
         s = smoothed(simulate_preset("kart", 2, duration=150.0, lever_arm_b=np.array([0.9, 0.2, 0.3]), **changes))
         assert s.trajectory.sigmas is not None
@@ -193,7 +193,7 @@ class TestKart:
         rate = (s.trajectory.angular_rate_b - s.truth.angular_rate_b)[driving, 2]
         assert np.sqrt(np.mean(rate**2)) < 0.05  # rad/s; the gyro itself, averaged over a tenth of a second, has 0.08
 
-    def test_noise_upwards_tells_no_delay(self) -> None:
+    def test_vertical_noise_shows_no_delay(self) -> None:
         """Where samples are noisy, what they say of motion up and down is noise, however well Doppler knows it."""
         changes = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "imu_gyro_noise": 0.04, "imu_accel_noise": 0.9}
         sigma = []
@@ -202,7 +202,7 @@ class TestKart:
             sigma.append(s.trajectory.report.identified["gps_velocity_latency"].sigma)
         assert sigma[1] == pytest.approx(sigma[0], rel=0.15)
 
-    def test_velocity_is_known_as_well_as_its_sigma_says_between_keyframes_as_at_them(self) -> None:
+    def test_the_sigma_of_velocity_is_correct_between_keyframes_as_at_them(self) -> None:
         """Samples so noisy that velocities tell more: what is between two of them, only the samples tell."""
         s = smoothed(simulate_preset("kart", 1, duration=150.0, imu_accel_noise=0.9, imu_gyro_noise=0.04))
         trajectory, keyframes = s.trajectory, s.trajectory.report.keyframes
@@ -226,7 +226,7 @@ def test_keyframes_are_closer_where_fixes_are() -> None:
     assert options.for_fixes(0.01 * np.arange(100)).keyframe_interval == pytest.approx(0.08)
 
 
-def test_attitudes_of_a_kart_that_mostly_stands_are_as_unsure_as_they_are() -> None:
+def test_attitudes_of_a_kart_that_mostly_stands_have_correct_sigmas() -> None:
     """What all parked keyframes have in common is no measure of what the mounting takes out of driven ones."""
     z = []
     for seed in (120, 121, 122):

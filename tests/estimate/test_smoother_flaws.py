@@ -53,7 +53,7 @@ class TestFlaws:
         assert np.all(fixes.weight[thrown] < 0.3)
         assert np.mean(fixes.weight[~thrown] > 0.9) > 0.95
 
-    def test_a_sensor_that_warms_up_leans_nobody(self, clean: Smoothed) -> None:
+    def test_a_sensor_that_warms_up_tilts_no_attitude(self, clean: Smoothed) -> None:
         """By 0.3 m/s^2 to the end of the drive; by 1 m/s^2 errors of roll and pitch are 2.6 sigmas."""
         imu = clean.session.imu
         assert imu is not None
@@ -81,7 +81,7 @@ class TestFlaws:
         driving = s.trajectory.t > 20.0
         assert np.sqrt(np.mean(s.euler_error[driving, 2] ** 2)) < 0.5 * DEG
 
-    def test_a_gap_of_the_inertial_samples_is_bridged_and_its_sigma_says_so(self, clean: Smoothed) -> None:
+    def test_a_gap_of_the_inertial_samples_is_bridged_with_a_larger_sigma(self, clean: Smoothed) -> None:
         s = flawed(imu_gaps=(Interval(50.0, 1.0),))
         assert s.trajectory.report.mode == "full"
         assert horizontal_rms(s.error_n) < horizontal_rms(clean.error_n) + 0.2
@@ -191,7 +191,7 @@ class TestDegrading:
         assert horizontal_rms(s.error_n[late]) < horizontal_rms(s.raw_error_n)
 
 
-def test_an_antenna_farther_from_the_box_than_a_kart_is_long_is_believed_only_where_it_is_stated() -> None:
+def test_a_lever_arm_longer_than_a_kart_is_accepted_only_where_it_is_stated() -> None:
     arm_b = np.array([3.5, 0.0, 0.0])
     session = prepare(simulate_preset("kart", 2, duration=100.0, gnss_outages=(), lever_arm_b=arm_b).raw)
     found = GraphSmoother().estimate(session).report
@@ -221,7 +221,7 @@ def test_speeds_that_the_logger_averages_are_asked_about_and_without_them_the_se
     assert GraphSmoother().estimate(replace(session, gnss=without)).report.mode == "full"
 
 
-def test_a_box_on_the_steering_wheel_is_named_and_its_roll_and_yaw_are_as_unsure_as_the_wheel_makes_them() -> None:
+def test_a_logger_on_the_steering_wheel_is_reported_and_widens_roll_and_yaw() -> None:
     changes = {"motion_standstill": None, "motion_steering": 10.0 * DEG}
     simulation = simulate_preset("kart", 1, duration=100.0, **changes)
     found = GraphSmoother().estimate(prepare(simulation.raw))

@@ -62,7 +62,7 @@ def test_fixes_once_a_second_wander_as_much_as_they_do() -> None:
     assert simulation.scenario.gnss.white_up < np.asarray(noise)[2] < 1.8 * simulation.scenario.gnss.white_up
 
 
-def test_where_no_height_tells_ground_may_rise() -> None:
+def test_without_heights_the_ground_may_rise() -> None:
     """A level drive put on a slope: what it climbs nobody measured, and the sigma of the velocity up knows."""
     simulation, slope = simulate_preset("kart", 6, duration=120.0, gnss_outages=()), 0.04
     session, imu = prepare(simulation.raw), simulation.scenario.imu
@@ -80,7 +80,7 @@ def test_where_no_height_tells_ground_may_rise() -> None:
     assert np.sqrt(np.mean((off / found.sigmas.velocity_n[:, 2])[driving] ** 2)) < 1.5
 
 
-def test_where_nothing_tells_of_heights_a_road_may_climb() -> None:
+def test_without_any_height_a_road_may_climb() -> None:
     """The ground is taken to be level then, and 5 % of slope are 0.7 m/s: 6 of the sigmas of a level road."""
     road = country_road(slope=0.05)
     gnss = road.session.gnss
@@ -105,7 +105,7 @@ def test_vertical_velocities_of_receivers_err_slowly() -> None:
 
 
 @pytest.mark.parametrize("height", [0.0, 0.7])
-def test_a_car_that_rocks_swings_its_antenna_by_a_height_that_nobody_knows(height: float) -> None:
+def test_a_car_that_rocks_swings_its_antenna_by_an_unknown_height(height: float) -> None:
     road = country_road(rocking=0.03, height=height)
     found = GraphSmoother().estimate(road.session)
     inside = (found.t > 5.0) & (found.t < road.t[-1] - 5.0)

@@ -32,7 +32,7 @@ class TestIdentified:
         assert np.linalg.norm(turn) < 2.0 * DEG
 
     @pytest.mark.parametrize("askew", [0.0, 0.02])
-    def test_the_mounting_is_as_unsure_as_the_axes_are_askew(self, askew: float) -> None:
+    def test_the_sigma_of_the_mounting_contains_misaligned_axes(self, askew: float) -> None:
         # by how much all axes of a sensor are turned in its case no drive can show; that they are out of square, it can
         signs, normalised = np.random.default_rng(0), []
         for seed in (3, 4, 5):
@@ -221,7 +221,7 @@ def test_fixes_far_apart_tell_their_noise_from_a_wandering_offset() -> None:
     assert noise[0] == pytest.approx(1.5, rel=0.25)
 
 
-def test_fixes_far_apart_are_not_said_to_be_without_an_offset_because_none_can_be_seen() -> None:
+def test_rare_fixes_are_not_reported_without_an_offset() -> None:
     changes = {"gnss_rate": 1.0, "gnss_white_horizontal": 3.0, "gnss_white_up": 5.0}
     found = [smoothed(simulate_preset("kart", seed, duration=300.0, **changes)) for seed in (4, 5)]
     ratio = []

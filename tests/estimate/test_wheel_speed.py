@@ -87,7 +87,7 @@ def test_a_wheel_that_locks_and_spins_at_times_is_still_of_use() -> None:
     assert found.report.residuals["wheel_speed"].rejected >= 8
 
 
-def test_a_session_without_the_file_knows_nothing_of_wheels() -> None:
+def test_a_session_without_the_file_has_no_wheel_speed() -> None:
     simulation = api.simulate("white", 1, duration=30.0)
     found = api.smooth(prepare(simulation.raw))
     assert not any(name.startswith("wheel") for name in found.report.identified)

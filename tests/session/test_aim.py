@@ -107,7 +107,7 @@ def test_the_log_began_at_the_time_of_day_in_it_here(tmp_path: Path, date: str, 
     [("04/05/2026", "11:32"), ("sabato 11 aprile", "11:32"), ("Saturday, April 31, 2026", "11:32"), ("", "")]
     + [("Saturday, April 11, 2026", clock) for clock in ("25:00", "14:00 PM", "noon")],
 )
-def test_a_date_that_cannot_be_read_one_way_is_said_and_no_time(tmp_path: Path, date: str, clock: str) -> None:
+def test_an_ambiguous_date_is_reported_and_no_time(tmp_path: Path, date: str, clock: str) -> None:
     text = table([values(k) for k in range(80)]).replace("Saturday, April 11, 2026", date).replace("11:32 AM", clock)
     reading = read(tmp_path, text)
     assert reading.unix_at_zero is None and "laps have none" in reading.problems[0].text

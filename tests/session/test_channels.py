@@ -74,7 +74,7 @@ def test_columns_of_another_loggers_table_are_channels(tmp_path: Path) -> None:
     np.testing.assert_allclose(channels[0].values, 9000 + np.arange(COUNT))
 
 
-def test_nothing_is_made_up_in_holes_and_a_gear_has_nothing_between() -> None:
+def test_holes_are_not_interpolated_and_a_gear_has_no_values_between() -> None:
     t = np.concatenate([np.arange(0.0, 10.0, 0.1), np.arange(20.0, 30.0, 0.1)])
     smooth = channel_at(Channel("rpm", "rpm", t, 100.0 * t), np.array([-1.0, 5.05, 15.0, 25.05, 31.0]))
     np.testing.assert_allclose(smooth, [np.nan, 505.0, np.nan, 2505.0, np.nan])

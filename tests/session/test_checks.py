@@ -34,7 +34,7 @@ def found(finding: Finding | None, needs: tuple[str, ...] = ()) -> tuple[FixColu
     return made.columns, [f"{problem.code} {problem.count} {problem.text}" for problem in problems]
 
 
-def test_a_finding_drops_rows_of_every_column_and_is_said() -> None:
+def test_a_finding_drops_rows_of_every_column_and_is_reported() -> None:
     columns, said = found(Finding("2 rows that are odd; dropped", 2, drop=np.arange(N) < 2))
     assert (
         columns.t.tolist() == rows().columns.t[2:].tolist() and columns.lat_deg.size == columns.is_blank.size == N - 2
@@ -103,7 +103,7 @@ def test_a_clock_that_started_again_in_both_tables_is_refused_with_what_to_do(fo
         folder.write(imu__csv=imu, gps__csv=gps).load()
 
 
-def test_a_compass_whose_clock_started_again_is_not_used_and_said(folder: Folder) -> None:
+def test_a_compass_whose_clock_started_again_is_not_used_and_reported(folder: Folder) -> None:
     mag = [f"{t:.2f},{1 + k % 3},2,3" for k, t in enumerate([*np.arange(0.0, 6.0, 0.1), *np.arange(0.03, 4.0, 0.1)])]
     raw = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), mag__csv="\n".join(["t_s,mx,my,mz", *mag])).load()
     assert raw.mag is None and codes(raw) == {"mag_unusable": 1}

@@ -60,7 +60,7 @@ def test_single_lost_samples_are_gaps_and_not_smeared_over_their_neighbours() ->
     assert np.max(np.abs(base.t - true - np.mean(base.t - true))) < 0.15 * 0.005
 
 
-def test_many_lost_samples_are_told_apart_from_a_longer_period() -> None:
+def test_many_lost_samples_are_distinguished_from_a_longer_period() -> None:
     lost = np.random.default_rng(RNG).choice(40_000, 4000, replace=False)
     true = sampled(40_000, 0.005, 0.0, lost)
     base = regularize(stamped(true, 0.00005))
@@ -89,7 +89,7 @@ def test_samples_that_arrive_in_bursts_get_their_own_times_back() -> None:
     assert not np.any(find_gaps(base))
 
 
-def test_samples_that_come_late_once_are_made_up_for_and_no_gap() -> None:
+def test_samples_that_come_late_once_are_compensated_and_no_gap() -> None:
     true = sampled(20_000, 0.01)
     late = true.copy()
     late[8000:8040] = np.maximum(late[8000:8040], true[8030] + 0.0005 * np.arange(40))
@@ -126,7 +126,7 @@ def test_too_few_stamps_come_back_unchanged(t: list[float]) -> None:
     np.testing.assert_array_equal(regularize(np.array(t)).t, t)
 
 
-def test_gaps_and_jitter_are_told_in_words() -> None:
+def test_gaps_and_jitter_are_reported_in_words() -> None:
     true = sampled(20_000, 0.01, 0.0, np.concatenate([np.arange(500, 515), [9000]]))
     gap, jitter = describe_time_base(regularize(stamped(true, 0.002)), "imu", "imu.csv")
     assert (gap.code, gap.count) == ("imu_gap", 2) and "2 gaps in the samples, the longest 0.16 s" in gap.text

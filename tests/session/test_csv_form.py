@@ -232,7 +232,7 @@ def test_speeds_that_nearly_fit_the_positions_are_left_as_they_are(tmp_path: Pat
     assert problems == []
 
 
-def test_times_of_day_that_are_not_understood_are_said_and_empty_ones_are_not(tmp_path: Path) -> None:
+def test_times_of_day_that_are_not_understood_are_reported_and_empty_ones_are_not(tmp_path: Path) -> None:
     rows = [f"{0.2 * k:.1f},45.0000{k},12,2024-05-31T10:00:0{k}.0Z" for k in range(3)]
     rows += ["0.6,45.00003,12,31.5.2024 10:00", "0.8,45.00004,12,"]
     _, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,utc\n" + "\n".join(rows) + "\n", "gps.csv"))
@@ -240,7 +240,7 @@ def test_times_of_day_that_are_not_understood_are_said_and_empty_ones_are_not(tm
     assert "utc of 1 row is no ISO 8601 time since 1990" in problems[0].text
 
 
-def test_a_column_with_a_unit_in_each_cell_or_words_is_said_to_be_unread(tmp_path: Path) -> None:
+def test_a_column_with_a_unit_in_each_cell_or_words_is_reported_as_unread(tmp_path: Path) -> None:
     rows = [f"{0.2 * k:.1f},45,12,{h},{speed},3D" for k, (h, speed) in enumerate([("99 m", 3), ("n/a", ""), ("-", 4)])]
     fixes, problems = read_fixes(
         save(tmp_path, "t_s,lat_deg,lon_deg,alt_m,speed_mps,fix\n" + "\n".join(rows) + "\n", "gps.csv")
@@ -460,7 +460,7 @@ def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, data: 
             assert np.all(np.diff(samples.t) > 0)
 
 
-def test_infinite_values_of_optional_columns_are_said(tmp_path: Path) -> None:
+def test_infinite_values_of_optional_columns_are_reported(tmp_path: Path) -> None:
     rows = [f"{k / 5:.1f},{45 + 1e-4 * k:.6f},12.0,{'inf' if k % 9 == 0 else 100}" for k in range(50)]
     (tmp_path / "gps.csv").write_text("\n".join(["t_s,lat_deg,lon_deg,alt_m", *rows]) + "\n")
     _, problems = read_fixes(tmp_path / "gps.csv")

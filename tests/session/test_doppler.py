@@ -55,12 +55,12 @@ def test_a_course_that_is_written_otherwise_is_not_used_and_named(tmp_path: Path
     assert said["gps_course_wrong"].endswith(f", as if {hint}; not used")
 
 
-def test_a_missing_course_is_told(tmp_path: Path) -> None:
+def test_a_missing_course_is_reported(tmp_path: Path) -> None:
     _, said = lap(tmp_path, course_deg=None)
     assert said == {"gps_no_course": "gps.csv: 600 moving fixes with a speed but no course; the speed is used alone"}
 
 
-def test_a_kart_that_stands_and_one_that_runs_straight_are_believed(tmp_path: Path) -> None:
+def test_a_kart_that_stands_and_one_that_runs_straight_are_accepted(tmp_path: Path) -> None:
     t = np.arange(600) * 0.2
     still = np.zeros(600)
     noise = 0.3 * np.random.default_rng(1).standard_normal(600) / 111_195
@@ -96,7 +96,7 @@ def test_a_course_that_comes_late_is_not_a_wrong_one(
 
 @pytest.mark.parametrize(("speed", "noise"), [(0.0, 5.0), (1.5, 1.0), (1.5, 5.0), (8.0, 2.0), (15.0, 5.0), (25.0, 5.0)])
 @pytest.mark.parametrize("rate", [1.0, 5.0, 25.0])
-def test_a_steady_velocity_is_believed_where_it_is_the_positions_that_are_noisy(
+def test_a_steady_velocity_is_accepted_where_the_positions_are_noisy(
     tmp_path: Path, speed: float, noise: float, rate: float
 ) -> None:
     t = np.arange(0.0, 300.0, 1.0 / rate)

@@ -359,7 +359,7 @@ def test_a_fit_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
-def test_without_the_extra_one_line_says_which_to_install(
+def test_without_the_extra_one_line_names_the_one_to_install(
     tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)

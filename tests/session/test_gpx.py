@@ -82,7 +82,7 @@ def test_a_file_that_was_cut_gives_what_is_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["UTF-90.0001", "rot13", "big5"])
-def test_points_of_an_encoding_that_nobody_knows_are_read_as_they_stand(tmp_path: Path, encoding: str) -> None:
+def test_points_of_an_unknown_encoding_are_read_as_they_are(tmp_path: Path, encoding: str) -> None:
     text = gpx([point(k) for k in range(50)])
     declared = f'<?xml version="1.0" encoding="{encoding}"?>' + text.partition("?>")[2]
     reading = read(tmp_path, declared)

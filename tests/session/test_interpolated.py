@@ -16,7 +16,7 @@ def drive(rate: float, duration: float = 120.0) -> tuple[Array, list[Array]]:
     return t, [45 + north / 111_195, 12 + east / 78_600, 8.0 + 0.1 * rng.standard_normal(t.size), speed]
 
 
-def test_samples_at_the_stamps_of_other_sensors_are_told_from_those_that_were_measured() -> None:
+def test_samples_at_the_stamps_of_other_sensors_are_distinguished_from_measured_ones() -> None:
     rng = np.random.default_rng(4)
     measured = np.round(np.arange(0.0, 60.0, 0.02), 3)
     t = np.unique(np.round(np.concatenate([measured, rng.uniform(0.0, 59.9, 900)]), 3))

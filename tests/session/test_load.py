@@ -167,7 +167,7 @@ def test_sentences_beside_a_log_of_the_logger_are_named(folder: Folder) -> None:
     assert "heat.KLG is used, not rover.nmea; name a file to have that one" in [p.text for p in folder.load().problems]
 
 
-def test_how_many_logs_are_left_out_is_said_as_such_and_not_as_times(folder: Folder) -> None:
+def test_left_out_logs_are_counted_as_logs_and_not_as_times(folder: Folder) -> None:
     logs = {f"{name}__nmea": "".join(nmea_epochs(count)) for name, count in (("a", 40), ("b", 30), ("c", 20))}
     (problem,) = [p for p in folder.write(**logs).load().problems if p.code == "gps_other_logs"]
     assert problem.count == 2
@@ -175,7 +175,7 @@ def test_how_many_logs_are_left_out_is_said_as_such_and_not_as_times(folder: Fol
     assert repeated(problem.text, problem.count) == problem.text == said
 
 
-def test_sentences_without_receive_times_beside_an_imu_are_said_to_be_a_guess(folder: Folder) -> None:
+def test_sentences_without_receive_times_beside_an_imu_are_reported_as_assumed(folder: Folder) -> None:
     folder.write(imu__csv=imu_csv(), rover__nmea="".join(nmea_epochs(50)))
     assert "gps_clock_assumed" in codes(folder.load())
     timed = "".join(f"{0.2 * k:.3f},{burst}" for k, burst in enumerate(nmea_epochs(50)))
@@ -264,7 +264,7 @@ UNKNOWN = "Format,some CSV\nLaps,1\nRecord,Stamp,Latitude,Longitude,Speed\n1,10:
 
 
 @pytest.mark.parametrize("beside", ["", "a.nmea", "gps.csv"])
-def test_a_table_that_no_reader_knows_is_named_with_its_columns_and_what_is_wanted(folder: Folder, beside: str) -> None:
+def test_an_unknown_table_is_named_with_its_columns_and_those_expected(folder: Folder, beside: str) -> None:
     folder.write(**{"heat.csv": UNKNOWN}, **({beside: gps_csv()} if beside else {}))
     columns = (
         r"its columns are Record, Stamp, Latitude, Longitude, Speed: no column says when; add one called time, "

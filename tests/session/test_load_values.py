@@ -46,7 +46,7 @@ def test_axes_that_never_change_while_others_do_are_named(folder: Folder, column
         (re.sub(r",9\.8\d,", ",nan,", imu_csv()), "imu_missing"),
     ],
 )
-def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder, imu: str | None, code: str) -> None:
+def test_an_unusable_imu_leaves_a_gps_only_session_with_the_reason(folder: Folder, imu: str | None, code: str) -> None:
     session = folder.write(gps__csv=gps_csv(), **({} if imu is None else {"imu__csv": imu})).load()
     assert session.imu is None and len(session.gnss) == 50
     (text,) = [problem.text for problem in session.problems if problem.code == code]
@@ -106,7 +106,7 @@ def test_acceleration_without_gravity_is_asked_about(folder: Folder, up: float, 
         (None, "imu.csv: a folder, where a table is wanted"),
     ],
 )
-def test_an_imu_table_with_nothing_in_it_leaves_the_fixes_and_is_said(
+def test_an_imu_table_with_nothing_in_it_leaves_the_fixes_and_is_reported(
     folder: Folder, imu: str | None, said: str
 ) -> None:
     folder.write(gps__csv=gps_csv())
@@ -121,7 +121,7 @@ def test_an_imu_table_with_nothing_in_it_leaves_the_fixes_and_is_said(
 
 @pytest.mark.parametrize("name", ["imu.csv", "session.toml", "mag.csv", "calibration.toml"])
 @pytest.mark.parametrize("leads_to", ["nowhere", "itself"])
-def test_a_link_that_leads_nowhere_is_said(folder: Folder, name: str, leads_to: str) -> None:
+def test_a_link_that_leads_nowhere_is_reported(folder: Folder, name: str, leads_to: str) -> None:
     folder.write(**{"gps__csv": gps_csv(), **({} if name == "imu.csv" else {"imu__csv": imu_csv()})})
     (folder.path / name).symlink_to(name if leads_to == "itself" else leads_to)
     session = folder.load()
@@ -201,7 +201,7 @@ def test_a_compass_may_be_in_seconds_beside_an_imu_that_is_not(folder: Folder, s
 
 
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9])
-def test_the_unit_of_fixes_is_told_by_their_utc(folder: Folder, size: float) -> None:
+def test_the_time_unit_of_fixes_follows_from_their_utc(folder: Folder, size: float) -> None:
     header, *rows = gps_csv().replace("\n", ",\n").splitlines()
     rows = [f"{size * k / 5:.0f},{row.partition(',')[2]}{1.7e9 + k / 5:.1f}" for k, row in enumerate(rows)]
     read = folder.write(gps__csv="\n".join([header + "unix_s", *rows]) + "\n").load()
@@ -209,7 +209,7 @@ def test_the_unit_of_fixes_is_told_by_their_utc(folder: Folder, size: float) -> 
     np.testing.assert_allclose(read.gnss.t, np.arange(50) / 5, atol=1e-6)
 
 
-def test_an_axis_that_says_0_on_every_straight_is_not_stuck(folder: Folder) -> None:
+def test_an_axis_that_reads_0_on_every_straight_is_not_stuck(folder: Folder) -> None:
     """Some modules write 0 for whatever turns slower than their noise."""
     rows = imu_csv(8000).splitlines()
     turn = [max(0.0, np.sin(np.pi * k / 1200)) + 0.003 * (k % 7) for k in range(8000)]
@@ -248,7 +248,7 @@ def test_a_height_that_never_changes_was_measured_once_at_most(folder: Folder) -
     assert np.isfinite(rough.gnss.alt_m).all()
 
 
-def test_that_no_fix_has_a_height_is_said(folder: Folder) -> None:
+def test_that_no_fix_has_a_height_is_reported(folder: Folder) -> None:
     without = gps_csv().replace("alt_m", "other")
     raw = load_raw(folder.write(**{"imu.csv": imu_csv(), "gps.csv": without}).path)
     assert "gps_no_height" in [problem.code for problem in raw.problems]
@@ -313,7 +313,7 @@ def test_a_receiver_that_changes_its_rate_has_no_gaps(
         (9.0, 191.0, set()),
     ],
 )
-def test_an_imu_that_runs_on_long_without_fixes_is_said(
+def test_an_imu_that_runs_on_long_without_fixes_is_reported(
     folder: Folder, start: float, end: float, expected: set[str]
 ) -> None:
     imu, gps = imu_csv(5000, rate=25.0), gps_csv(int(5 * (end - start)) + 1, start=start)

@@ -134,7 +134,7 @@ def test_a_calibration_gives_the_field_and_is_no_drive(tmp_path, make_records):
         load_raw(tmp_path)
 
 
-def test_what_the_logger_lost_is_said_with_its_cause(tmp_path, make_records):
+def test_what_the_logger_lost_is_reported_with_its_cause(tmp_path, make_records):
     records = make_records(duration=20.0)
     gap = Gap(IMU, GAP_NO_ROOM, 100, int(records.imu_t[1000]), int(records.imu_t[1099]))
     keep = np.r_[0:1000, 1100 : len(records.imu_t)]
@@ -163,7 +163,7 @@ def test_damage_is_counted_in_blocks_and_samples(tmp_path, make_records):
     assert f"1 block damaged or missing, {4000 - len(raw.imu.t)} IMU samples in them" in problem.text
 
 
-def test_without_settings_the_defaults_are_taken_and_said(tmp_path, make_records):
+def test_without_settings_the_defaults_are_taken_and_reported(tmp_path, make_records):
     save(tmp_path, "LOG.KLG", replace(make_records(duration=10.0), setup=None))
     assert "log_setup_missing" in codes(load_raw(tmp_path))
 
@@ -190,7 +190,7 @@ def test_a_file_without_a_block_is_one_clear_line(tmp_path, content, said):
             load_raw(path)
 
 
-def test_a_file_without_a_block_beside_a_recording_is_said(tmp_path, make_records):
+def test_a_file_without_a_block_beside_a_recording_is_reported(tmp_path, make_records):
     save(tmp_path, "LOG00001.KLG", make_records(duration=10.0))
     (tmp_path / "LOG00002.KLG").write_bytes(bytes(4096))
     texts = [problem.text for problem in load_raw(tmp_path).problems if problem.code == "log_unusable"]

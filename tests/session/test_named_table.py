@@ -339,7 +339,7 @@ def test_midnight_and_zones(tmp_path: Path) -> None:
     assert "gps_date_assumed" not in {problem.code for problem in reading.problems}
 
 
-def test_a_zone_that_is_not_told_is_said(tmp_path: Path) -> None:
+def test_an_unknown_zone_is_reported(tmp_path: Path) -> None:
     (said,) = [p.text for p in read(tmp_path, text_of("afternoon")).problems if p.code == "gps_date_assumed"]
     assert said == "session.csv: it does not say in which zone its times of day are; taken as UTC"
 

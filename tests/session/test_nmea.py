@@ -183,7 +183,7 @@ def test_sentences_without_a_fix_are_counted_and_not_used() -> None:
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_one_sentence_that_denies_the_fix_is_believed(first: bool) -> None:
+def test_one_sentence_without_a_fix_invalidates_it(first: bool) -> None:
     denied = [rmc(START, status="V"), gga(START)]
     reading = read("".join(denied if first else denied[::-1]) + rmc(START + 1))
     np.testing.assert_array_equal(reading.gnss.t, [1.0])

@@ -139,7 +139,7 @@ def test_accelerations_and_rates_in_rows_of_their_own_make_samples(tmp_path: Pat
     assert imu.t.size == pytest.approx(500, abs=3) and np.count_nonzero(inside) >= imu.t.size - 2
 
 
-def test_what_a_motion_sensor_lacks_is_said(tmp_path: Path) -> None:
+def test_what_a_motion_sensor_lacks_is_reported(tmp_path: Path) -> None:
     rows = [fix_row(k) for k in range(60)]
     reading = read(tmp_path, csv(rows, NAMES.replace("z_rate_of_rotation", "x")))
     assert reading.imu is None
@@ -197,7 +197,7 @@ def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: 
     )
 
 
-def test_cells_that_are_no_numbers_are_said(tmp_path: Path) -> None:
+def test_cells_that_are_no_numbers_are_reported(tmp_path: Path) -> None:
     """Where both coordinates are damaged, the row would pass for one of another sensor, and be missed by nobody."""
     rows = [fix_row(k) for k in range(60)]
     latitude = rows[0].split(",").index(next(cell for cell in rows[0].split(",") if cell.startswith("45")))

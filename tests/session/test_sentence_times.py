@@ -120,7 +120,7 @@ def test_a_date_that_turns_over_late_or_never_makes_no_other_day(turns_over: flo
 
 @pytest.mark.parametrize("unknown", ["060180", "010100", "220899", "010106"])
 @pytest.mark.parametrize("goes_on", [True, False])
-def test_dates_before_a_receiver_knows_the_day_are_none(unknown: str, goes_on: bool) -> None:
+def test_dates_before_a_receiver_has_the_day_are_none(unknown: str, goes_on: bool) -> None:
     begin = drive(begin=BEGIN if goes_on else BEGIN - 4000.0)[:100]
     begin = [sentence(burst.split("*")[0][1:].replace(",160526,", f",{unknown},")) for burst in begin]
     gnss = joined([*begin, *drive()[100:]]).gnss
@@ -128,6 +128,6 @@ def test_dates_before_a_receiver_knows_the_day_are_none(unknown: str, goes_on: b
     assert gnss.t[-1] - gnss.t[0] < 5000.0
 
 
-def test_without_dates_midnight_is_still_crossed_and_days_cannot_be_told() -> None:
+def test_without_dates_midnight_is_still_crossed_and_days_are_unknown() -> None:
     gnss = joined(drive(begin=BEGIN + 14 * 3600.0 - 50.0, dated=False)).gnss
     np.testing.assert_allclose(gnss.t, 0.2 * np.arange(500), rtol=0.0, atol=1e-6)

@@ -12,7 +12,7 @@ from smoother.session.tables import Table, read_table
 
 
 @pytest.mark.parametrize("start", [b"t_s,x\n", b"t_s,x\n" + b"1,2\n" * 500_000])
-def test_an_endless_line_is_told_before_it_fills_the_memory(tmp_path: Path, start: bytes) -> None:
+def test_an_endless_line_is_refused_before_it_fills_the_memory(tmp_path: Path, start: bytes) -> None:
     path = tmp_path / "gps.csv"
     with path.open("wb") as file:
         file.write(start)
@@ -32,7 +32,7 @@ def test_an_endless_line_is_told_before_it_fills_the_memory(tmp_path: Path, star
         (Path(__file__).parent.parent / "data" / "golden.klg").read_bytes(),
     ],
 )
-def test_a_file_of_another_kind_is_said_to_be_none_in_characters_of_a_line(tmp_path: Path, data: bytes) -> None:
+def test_a_file_of_another_kind_is_refused_in_printable_characters(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "gps.csv").write_bytes(data)
     with pytest.raises(SessionError) as error:
         read_table(tmp_path / "gps.csv", ("t_s", "lat_deg", "lon_deg"))
@@ -148,7 +148,7 @@ def test_zeros_alone_are_one_line(tmp_path: Path, content: bytes) -> None:
         read_table(path, ("t_s", "x"))
 
 
-def test_decimal_commas_between_commas_are_told_and_not_read_as_other_numbers(tmp_path: Path) -> None:
+def test_decimal_commas_between_commas_are_reported_and_not_read_as_other_numbers(tmp_path: Path) -> None:
     path = tmp_path / "gps.csv"
     rows = "".join(f"{i},25,-{i},5\n" for i in range(40))
     path.write_text(f"t_s,x\n{rows}")

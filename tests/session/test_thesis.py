@@ -183,7 +183,7 @@ def test_what_the_buffer_held_before_is_not_read_again(tmp_path: Path) -> None:
     assert len(out.gnss) == 20 and out.problems == []
 
 
-def test_a_file_without_gps_records_says_so_in_one_line(tmp_path: Path) -> None:
+def test_a_file_without_gps_records_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match=r"^out.txt: .*no NMEA sentence"):
         read_out(save(tmp_path, Writer(gps_every=0).write(100)))
 
@@ -209,7 +209,7 @@ def test_magcalib_is_read_with_one_or_two_start_bytes_once_or_before_each(
     assert problems == []
 
 
-def test_a_cut_magcalib_loses_its_last_triple_and_says_so(tmp_path: Path) -> None:
+def test_a_cut_magcalib_loses_its_last_triple_with_a_problem(tmp_path: Path) -> None:
     data = b"YY" + struct.pack("<3h", 1, 2, 3) * 50
     field_s, problems = read_magcalib(save(tmp_path, data[:-1], "magcalib.txt"))
     assert field_s is not None and field_s.shape == (49, 3)

@@ -207,7 +207,7 @@ def test_positions_are_taken_in_the_form_that_the_velocities_fit(
 @pytest.mark.parametrize(
     ("label", "said"), [("velocity", "does not say in which unit"), ("velocity furlongs", "furlongs, is")]
 )
-def test_a_unit_of_speeds_that_has_to_be_assumed_is_said(tmp_path: Path, label: str, said: str) -> None:
+def test_a_unit_of_speeds_that_has_to_be_assumed_is_reported(tmp_path: Path, label: str, said: str) -> None:
     header = tuple(name.replace("velocity kmh", label) for name in HEADER)
     reading = read(tmp_path, vbo([row(k) for k in range(20)], header=header))
     (problem,) = [problem for problem in reading.problems if problem.code == "gps_speed_unit_assumed"]
@@ -261,7 +261,7 @@ def test_six_inertial_channels_make_an_imu_and_two_accelerations_do_not(tmp_path
         ("longacc latacc a b c d", "", ""),
     ],
 )
-def test_why_a_motion_sensor_that_is_there_is_not_used_is_said(
+def test_why_a_motion_sensor_that_is_there_is_not_used_is_reported(
     tmp_path: Path, names: str, code: str, said: str
 ) -> None:
     rows = [f"{row(k)} +0.1 +0.2 +1.0 +1.0 +2.0 -90.0" for k in range(40)]

@@ -68,7 +68,7 @@ def test_forward_is_where_the_kart_goes_on_straights(heading):
     assert abs(wrap_angle(np.asarray(found - heading))) < 0.5 * DEG
 
 
-def test_forward_looks_only_at_the_first_part_of_the_drive_where_yaw_drifts():
+def test_forward_uses_only_the_first_part_of_the_drive_where_yaw_drifts():
     t = np.arange(0.0, 300.0, 0.02)
     fix_t = np.arange(0.0, 300.0, 0.2)
     drift = np.where(t > 80.0, 2.0, 0.0)
@@ -105,7 +105,7 @@ def test_bias_and_level_come_from_the_rest_at_the_start():
     assert rest.problems == ()
 
 
-def test_without_a_rest_the_mean_over_the_drive_is_used_and_said():
+def test_without_a_rest_the_mean_over_the_drive_is_used_and_reported():
     R_sb = rotation_from_euler(np.asarray(0.3), np.asarray(-0.5), np.asarray(2.0)).T
     session = still_then_driving(R_sb, still=False)
     rest = rest_state(session, session.imu, course_of(session.gnss, np.zeros((len(session.gnss), 2))))

@@ -173,7 +173,7 @@ def test_without_a_calibrated_magnetometer_north_comes_from_motion(how):
     assert evaluate(found, truth).horizontal_rms_m < 2.5
 
 
-def test_without_a_standstill_it_says_what_it_did():
+def test_without_a_standstill_the_substitute_is_reported():
     session, truth, _ = simulated(motion_standstill=None)
     found = ThesisBaseline().estimate(session)
     assert "baseline_no_standstill" in codes(found)
@@ -240,7 +240,7 @@ def test_a_handful_of_fixes_is_enough_to_return_something(white, count):
     assert np.all(np.isfinite(found.position_n[:, :2]))
 
 
-def test_it_needs_no_more_than_the_protocol_says():
+def test_it_needs_no_more_than_the_protocol():
     baseline = ThesisBaseline()
     assert baseline.name == "baseline"
     assert baseline.options.rate == 50.0

@@ -42,7 +42,7 @@ def test_slow_fixes_on_a_winding_path_count_as_reported_or_as_the_default():
     np.testing.assert_allclose(fix_variance(fixes(t, np.full(300, 0.7)), circle(t)), 0.49)
 
 
-def test_a_receiver_that_smooths_its_fixes_is_not_believed_to_the_millimetre():
+def test_a_receiver_that_smooths_its_fixes_has_no_noise_of_a_millimetre():
     t = 0.1 * np.arange(500)
     np.testing.assert_allclose(fix_variance(fixes(t), 3.0 * np.stack([t, t], axis=1)), 0.04)
 

@@ -194,7 +194,7 @@ def test_a_fix_between_two_steps_counts_at_its_own_time(delay):
     np.testing.assert_allclose(found.position[-1, 0], speed * (steps - 1) * 0.02, atol=1e-3)
 
 
-def test_without_any_fix_it_dead_reckons_from_zero_and_says_how_little_it_knows():
+def test_without_any_fix_it_dead_reckons_from_zero_with_growing_sigmas():
     data = KalmanInput(
         0.02,
         np.tile([1.0, 0.0], (50, 1)),

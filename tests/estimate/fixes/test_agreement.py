@@ -150,7 +150,7 @@ def said_of(*value: float) -> list[tuple[str, str]]:
     return [(problem.code, problem.text) for problem in problems]
 
 
-def test_what_is_said() -> None:
+def test_the_message() -> None:
     assert said_of(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == []
     ((code, text),) = said_of(0.0, -2.0 * DEG, 0.0, 0.0, 0.0, 0.0)
     assert code == "gps_velocity_turned"
@@ -184,7 +184,7 @@ def laps(wrong: Callable[[Array], Array], scale: Array) -> Session:
 
 
 @pytest.mark.parametrize("phase", [3.0, 4.0])
-def test_errors_that_come_again_every_lap_are_told_once(phase: float) -> None:
+def test_errors_that_repeat_every_lap_are_reported_once(phase: float) -> None:
     """Errors of 2 m that belong to the place; taken for independent in each of 58 laps they are a factor, 8 sigmas."""
 
     def wrong(place: Array) -> Array:
@@ -214,7 +214,7 @@ def test_jumps_rows_far_off_and_a_late_velocity_are_none(session: Session) -> No
     assert turned.value[TURN] == pytest.approx(3.0 * DEG, abs=0.4 * DEG)
 
 
-def test_where_little_tells_nothing_is_found(session: Session) -> None:
+def test_with_little_information_nothing_is_found(session: Session) -> None:
     turned = with_course_off(session, 4.0)
     blind = with_velocity(turned, np.full_like(turned.gnss.velocity_n, np.nan))
     assert not disagreement(blind).is_found

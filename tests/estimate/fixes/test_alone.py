@@ -76,7 +76,7 @@ def test_sigma_contains_the_slow_offset_and_the_track_does_not(lap_fixes: Make) 
     assert np.median(sigmas.speed) == pytest.approx(np.median(sigmas.velocity_n[:, :2]), rel=0.05)
 
 
-def test_a_delay_that_nothing_tells_is_said_and_makes_places_unsure_along_the_way_but_not_line_and_speed(
+def test_an_unknown_delay_is_reported_and_widens_positions_along_the_track_alone(
     circle: Session,
 ) -> None:
     stated = replace(circle, config=SessionConfig(gps=GnssTiming(position_latency=0.0)))
@@ -103,7 +103,7 @@ def test_absolute_sigma_is_honest_over_sessions(lap_fixes: Make, lap_motion: Mak
     assert 0.3 < np.mean(squares) < 1.7
 
 
-def test_report_tells_what_was_found_and_what_was_rejected(lap_fixes: Make) -> None:
+def test_report_lists_what_was_found_and_what_was_rejected(lap_fixes: Make) -> None:
     made = lap_fixes(jumps=((40.0, 41.0, 30.0),))
     report = GnssSmoother().estimate(made.session).report
     position, velocity = report.residuals["gps_position"], report.residuals["gps_velocity"]
@@ -127,9 +127,7 @@ def test_report_tells_what_was_found_and_what_was_rejected(lap_fixes: Make) -> N
 
 
 @pytest.mark.parametrize(("offset", "tau"), [(2.0, 60.0), (4.0, 60.0)])
-def test_an_offset_that_wanders_farther_than_others_makes_positions_and_laps_as_unsure(
-    offset: float, tau: float
-) -> None:
+def test_a_larger_offset_widens_the_sigmas_of_positions_and_laps(offset: float, tau: float) -> None:
     squares, changes, said, lap = [], [], [], 265  # rows
     for seed in range(3):
         changed = {"gnss_offset_horizontal": offset, "gnss_offset_tau": tau, "gnss_position_latency": 0.0}
@@ -155,7 +153,7 @@ def test_an_offset_that_wanders_farther_than_others_makes_positions_and_laps_as_
     assert 0.4 < np.mean(changes) < 1.6
 
 
-def test_without_doppler_nothing_is_said_of_its_noise(lap_fixes: Make) -> None:
+def test_without_doppler_its_noise_is_not_reported(lap_fixes: Make) -> None:
     report = GnssSmoother().estimate(lap_fixes(doppler=None, has_altitude=False).session).report
     assert "gps_velocity" not in report.residuals
     assert "gps_height" not in report.residuals

@@ -11,7 +11,7 @@ from smoother.estimate.fixes.reported_noise import hidden_wander, noise_of_fixes
 WHITE, STILL = np.array([2.0, 2.0, 4.0]), np.zeros(3)
 
 
-def test_white_noise_hides_a_wander_as_far_as_its_mean_is_unsure() -> None:
+def test_white_noise_hides_a_wander_below_the_sigma_of_its_mean() -> None:
     """Three hundred fixes in the time over which it is forgotten, in a session that goes on for ever."""
     hidden = hidden_wander(WHITE, STILL, 0.2, math.inf, 60.0)
     assert hidden == pytest.approx(WHITE / math.sqrt(300.0))
@@ -33,14 +33,14 @@ def test_a_short_session_may_show_less_by_chance() -> None:
 
 
 @pytest.mark.parametrize(("spread", "share", "source"), [(math.inf, 0.5, "default"), (0.2, 0.2, "identified")])
-def test_a_wander_that_a_session_tells_is_as_sure_as_its_time(spread: float, share: float, source: str) -> None:
+def test_a_wander_that_a_session_shows_has_the_sigma_of_its_length(spread: float, share: float, source: str) -> None:
     found = wander_of_fixes(OffsetModel(WHITE, 60.0, spread), np.full(3, 0.1))
     assert found["gps_offset_sigma"].sigma == pytest.approx(np.hypot(share * WHITE, 0.1))
     assert found["gps_offset_tau"].sigma == pytest.approx(60.0 * min(spread, 0.6))
     assert {value.source for value in found.values()} == {source}
 
 
-def test_noise_that_nothing_tells_is_that_of_any_receiver() -> None:
+def test_noise_that_is_not_observable_is_that_of_any_receiver() -> None:
     told, untold = (noise_of_fixes(np.full(3, 0.1), np.full(3, spread), "m") for spread in (0.05, 0.7))
     assert (told.observable, told.source, untold.observable, untold.source) == (True, "identified", False, "default")
     assert told.sigma == pytest.approx(np.full(3, math.hypot(0.005, 0.01 + 0.3 * (0.05 / 0.7) ** 2)))

@@ -85,7 +85,9 @@ def test_sigma_and_time_of_a_long_session_are_within_their_spread(half_hours: li
         assert found.sigma == pytest.approx(2.0, rel=0.4)
 
 
-def test_the_time_is_told_by_long_sessions_alone(half_hours: list[Made], fits: Callable[..., Made]) -> None:
+def test_the_time_constant_is_observable_in_long_sessions_alone(
+    half_hours: list[Made], fits: Callable[..., Made]
+) -> None:
     models = [offset_model(*made, USUAL, is_filtered=True) for made in half_hours]
     told = [m for m in models if math.isfinite(m.tau_spread)]
     assert len(told) >= 2
@@ -117,7 +119,7 @@ def test_reflections_of_every_lap_are_not_all_that_fixes_wander_by(
 
 @pytest.mark.parametrize("sigma", [0.1, 2.0, 4.0])
 @pytest.mark.parametrize("duration", [100.0, 500.0])
-def test_how_fast_the_offset_walks_is_told_by_a_minute(
+def test_the_walk_of_the_offset_is_observable_in_a_minute(
     fits: Callable[..., Made], sigma: float, duration: float
 ) -> None:
     for seed in range(3):
@@ -146,14 +148,14 @@ def test_the_drift_is_the_offset_and_what_doppler_adds_up_to(lap_fixes: Callable
     assert 0.5 < np.mean(steps**2) / expected < 1.6
 
 
-def test_without_doppler_or_with_few_fixes_nothing_is_told(fits: Callable[..., Made]) -> None:
+def test_without_doppler_or_with_few_fixes_nothing_is_identified(fits: Callable[..., Made]) -> None:
     alone = fits(duration=300.0, doppler=None)
     assert not tells(*alone)
     assert offset_model(*alone, USUAL, is_filtered=False).sigma[0] == pytest.approx(0.4)
     assert not tells(*fits(duration=2.0 * FEWEST - 10.0))
 
 
-def test_an_outage_tells_nothing(fits: Callable[..., Made]) -> None:
+def test_an_outage_has_no_information(fits: Callable[..., Made]) -> None:
     """Over a gap Doppler cannot be added up: what its path does there must not pass for an offset."""
     made = fits(seed=2, duration=300.0, offset=(0.0, 0.0, 0.0), outages=((100.0, 112.0), (200.0, 206.0)), **UNFILTERED)
     assert fitted(made).evidence < 2.0 * PRICE

@@ -54,7 +54,7 @@ def test_an_hour_without_fixes_goes_with_the_one_before(monkeypatch: pytest.Monk
     assert len(path.position_weight) == len(session.gnss)
 
 
-def test_over_a_pause_of_hours_the_path_stays_where_it_stopped_and_says_that_it_may_be_elsewhere() -> None:
+def test_over_a_pause_of_hours_the_path_stays_where_it_stopped_with_a_large_sigma() -> None:
     session = drive()
     pause = 3.0 * pieces.PIECE
     late = session.gnss.t > 0.5 * LENGTH

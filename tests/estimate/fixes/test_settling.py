@@ -111,7 +111,7 @@ def test_errors_that_come_again_and_again_are_no_settling(session: Session) -> N
     assert not unsettled(replace(slow, gnss=replace(slow.gnss, velocity_n=velocity_n))).any()
 
 
-def test_what_is_said(session: Session) -> None:
+def test_the_message(session: Session) -> None:
     t = session.gnss.t - session.gnss.t[0]
     late = t[t > 121.0][0]
     (problem,) = said_of(coming_in(session, 0.0))

@@ -32,6 +32,6 @@ def test_a_bias_stays_and_adds_up_to_a_straight_line() -> None:
     assert (bias.kept(30.0), bias.gone(30.0), bias.noise(30.0)) == (1.0, 30.0, (0.0, 0.0, 0.0))
 
 
-def test_a_velocity_is_as_unsure_after_a_step_as_before() -> None:
+def test_a_velocity_has_the_same_sigma_after_a_step_as_before() -> None:
     _, _, new = DOPPLER.noise(13.0)
     assert new + DOPPLER.kept(13.0) ** 2 * DOPPLER.sigma**2 == pytest.approx(DOPPLER.sigma**2)

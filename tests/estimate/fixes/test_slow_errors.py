@@ -60,7 +60,7 @@ def test_what_comes_again_in_every_lap_adds_up_to_nothing() -> None:
     np.testing.assert_allclose(found(0.1, doppler, again=1.0, seeds=6), found(0.1, doppler, seeds=6), rtol=0.05)
 
 
-def test_what_the_solution_knows_is_not_the_slow_error_of_doppler() -> None:
+def test_what_the_solution_explains_is_not_the_slow_error_of_doppler() -> None:
     none = SlowVelocity(1e-6, DOPPLER.tau)
     knows, does_not = (found(0.3, none, walk=0.3**2 / LAP, knows=share)[:, 1] for share in (1.0, 0.0))
     assert np.mean(np.log(knows / does_not)) < -0.5

@@ -93,7 +93,7 @@ def test_a_wild_fix_now_and_then_does_not_matter(truth: Truth) -> None:
     assert turn_between(found.R_bs, R_bs) < 5.0 * DEG
 
 
-def test_the_attitude_to_start_from_is_good_to_a_few_degrees_in_any_box(truth: Truth) -> None:
+def test_the_initial_attitude_is_good_to_a_few_degrees_in_any_mounting(truth: Truth) -> None:
     R_bs, lag = random_rotation(5), 0.2
     imu, path = box(truth, R_bs, np.array([0.2, -0.1, 0.5])), fixes(truth, lag)
     t = np.arange(1.0, DURATION - 4.0, 0.2)
@@ -223,7 +223,7 @@ def test_a_gyroscope_that_turns_the_wrong_way_is_noticed(truth: Truth) -> None:
         (SIGNS[1], SIGNS[1], "the signs of ax and gx are changed"),  # as good as those that were wrong
     ],
 )
-def test_the_axis_that_is_wrong_is_named_where_the_box_lies_askew(
+def test_the_wrong_axis_is_named_where_the_logger_is_askew(
     truth: Truth, force: np.ndarray, rate: np.ndarray, named: str
 ) -> None:
     imu, path = box(truth, rotation_from_euler(*np.array([-0.35, -0.93, 0.4])), np.zeros(3)), fixes(truth, lag=0.15)
@@ -233,7 +233,7 @@ def test_the_axis_that_is_wrong_is_named_where_the_box_lies_askew(
     assert all(named in problem.text for problem in problems)
 
 
-def test_a_level_box_does_not_tell_which_of_two_mistakes_it_was(truth: Truth) -> None:
+def test_a_level_logger_does_not_distinguish_two_mistakes(truth: Truth) -> None:
     imu, path = box(truth, np.eye(3), np.zeros(3)), fixes(truth)
     (problem,) = align(ImuSamples(imu.t, imu.specific_force_s, imu.angular_rate_s @ SIGNS[2]), path).problems
     assert "fits once the sign of gz is changed or the signs of gx, gy and gz are changed" in problem.text

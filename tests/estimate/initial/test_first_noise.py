@@ -47,9 +47,7 @@ def test_fixes_that_are_some_times_worse_than_usual_are_of_the_same_receiver(ses
 
 
 @pytest.mark.parametrize(("claimed", "share"), [(0.5, 0.25), (4.0, 1.0), (5.6, 1.0), (9.0, 1.59), (100.0, 10.0)])
-def test_a_receiver_that_claims_to_be_far_worse_than_others_is_believed(
-    session: Session, claimed: float, share: float
-) -> None:
+def test_a_receiver_that_reports_a_far_larger_error_is_accepted(session: Session, claimed: float, share: float) -> None:
     """Receivers say half to twice what they are off by: within that others tell, beyond it is the receiver's own."""
     reported = np.full(len(session.gnss), claimed)
     told = replace(session, gnss=replace(session.gnss, sigma_horizontal=reported))

@@ -34,7 +34,7 @@ def test_a_sensor_that_is_right_or_nearly_so_stays(kart: RawSession, accel: floa
     ("gyro", "unit"),
     [(DEG, "rad/s where deg/s belong"), (1 / DEG, "deg/s where rad/s"), (1e3, "thousandths of a")],
 )
-def test_a_gyroscope_in_a_known_unit_is_converted_and_said(kart: RawSession, gyro: float, unit: str) -> None:
+def test_a_gyroscope_in_a_known_unit_is_converted_and_reported(kart: RawSession, gyro: float, unit: str) -> None:
     raw = in_known_units(scaled(kart, gyro=gyro))
     assert raw.imu is not None and kart.imu is not None
     assert raw.imu.gyro_scale == pytest.approx(kart.imu.gyro_scale) and raw.imu.gyro_full_scale == pytest.approx(1.0)
@@ -51,7 +51,7 @@ def test_a_gyroscope_in_a_known_unit_is_converted_and_said(kart: RawSession, gyr
         (0.5, 1.0, "times gravity; are ax, ay, az in m/s^2?"),
     ],
 )
-def test_a_sensor_that_is_off_by_any_other_factor_is_left_out_and_said(
+def test_a_sensor_that_is_off_by_any_other_factor_is_left_out_and_reported(
     kart: RawSession, accel: float, gyro: float, said: str
 ) -> None:
     raw = in_known_units(scaled(kart, accel, gyro))

@@ -65,7 +65,7 @@ def test_one_outage_is_a_warning_with_its_length(kart: RawSession) -> None:
     assert result.measures["fix_gap_longest_s"] == pytest.approx(5.2, abs=0.3)  # 5 s and the step around it
 
 
-def test_gaps_of_a_slow_receiver_are_those_that_reading_tells(tmp_path: Path) -> None:
+def test_gaps_of_a_slow_receiver_are_those_of_reading(tmp_path: Path) -> None:
     """At 1 Hz one fix is missing, then four."""
     t = [k for k in range(90) if k != 30 and not 60 <= k < 64]
     rows = [f"{k},{45.0 + 9e-5 * k:.7f},12" for k in t]
@@ -123,7 +123,7 @@ def test_a_speed_in_every_fifth_fix_is_no_want_of_sentences(kart: RawSession) ->
     assert "no speed and course" not in texts(check(changed(kart, gnss=seldom)), "warning")
 
 
-def test_gaps_of_the_motion_sensor_are_those_that_the_reader_tells(kart: RawSession) -> None:
+def test_gaps_of_the_motion_sensor_are_those_of_the_reader(kart: RawSession) -> None:
     assert kart.imu is not None
     keep = np.ones(len(kart.imu.t), dtype=bool)
     keep[4000:4003] = keep[9000:9015] = False  # 3 and 15 samples of 5 ms
@@ -184,9 +184,7 @@ def test_a_compass_without_its_motion_sensor_is_not_good(kart: RawSession) -> No
 
 
 @pytest.mark.parametrize("inputs", [("race.vbo",), ("race.nmea",), ("race.gpx", "session.toml"), ("gps.csv",)])
-def test_a_logger_without_a_motion_sensor_is_good_and_said_to_be_gps_only(
-    kart: RawSession, inputs: tuple[str, ...]
-) -> None:
+def test_a_logger_without_a_motion_sensor_is_good_and_gps_only(kart: RawSession, inputs: tuple[str, ...]) -> None:
     result = check(changed(kart, imu=None, mag=None, inputs=inputs))
     assert result.is_good and result.is_gps_only
     assert "no motion sensor" in texts(result, "warning")
@@ -214,7 +212,7 @@ def test_a_motion_sensor_of_no_use_is_a_fault_of_the_own_logger_only(
             assert [f.text for f in result.findings if f.topic in ("IMU", "file")] == [alone]
 
 
-def test_the_page_says_of_a_motion_sensor_what_the_check_said(kart: RawSession) -> None:
+def test_the_page_reports_a_motion_sensor_as_the_check(kart: RawSession) -> None:
     problem = Problem("imu_too_slow", f"imu.csv: {SLOW}: smoothed from GPS alone")
     slow = changed(kart, imu=None, mag=None, inputs=("imu.csv", "gps.csv"), problems=(problem,))
     said = [f.text for f in recorded_check(prepare(slow)).findings if f.topic in ("IMU", "file")]
@@ -291,13 +289,13 @@ def test_gravity_that_clipped_vibration_bends_is_no_unit(kart: RawSession) -> No
     assert told in texts(found, "warning")
 
 
-def test_strong_vibration_is_a_warning_that_says_what_to_do(kart: RawSession) -> None:
+def test_strong_vibration_is_a_warning_with_a_remedy(kart: RawSession) -> None:
     assert kart.imu is not None
     shaken = kart.imu.accel + np.random.default_rng(1).normal(0.0, 8.0 / kart.imu.accel_scale, kart.imu.accel.shape)
     assert "mount the logger on the frame" in texts(check(with_imu(kart, accel=shaken)), "warning")
 
 
-def test_a_box_on_the_steering_wheel_is_a_warning(kart: RawSession) -> None:
+def test_a_logger_on_the_steering_wheel_is_a_warning(kart: RawSession) -> None:
     wheel = simulate_preset("kart", 4, duration=90.0, motion_steering=10.0 * DEG).raw
     said = "the logger turns with the steering wheel"
     assert said in texts(check(wheel), "warning") and check(wheel).is_good

@@ -148,7 +148,7 @@ def test_nees_of_an_honest_covariance_is_its_dimension():
     assert boastful.mean == pytest.approx(36.0, abs=1.6)
 
 
-def test_nees_uses_what_the_truth_knows():
+def test_nees_uses_what_the_truth_holds():
     rng = np.random.default_rng(6)
     truth = circle(np.arange(0.0, 200.0, 0.1))
     covariance = np.diag(np.repeat([1e-4, 1e-2, 1.0], 3))

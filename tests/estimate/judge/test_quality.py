@@ -59,7 +59,7 @@ def test_a_known_latency_is_no_distance() -> None:
     assert not assess(late, estimate(), QualityLimits()).passed
 
 
-def test_some_jumps_of_the_fixes_are_lived_with() -> None:
+def test_some_jumps_of_the_fixes_are_accepted() -> None:
     assert assess(session(shifted_rows(100, 150, 40.0)), estimate()).passed  # 10 s of 200 s, refused by the smoother
 
 
@@ -177,7 +177,7 @@ def test_a_kart_that_drives_on_its_side_is_none(axis: int) -> None:
     assert any("deg off level: are the axes of the samples" in reason for reason in quality.reasons), quality.reasons
 
 
-def test_a_box_that_was_mounted_anew_is_seen_however_unsure_its_attitude_is() -> None:
+def test_a_remounted_logger_is_found_however_large_the_sigma_of_attitude() -> None:
     """Two mountings in one leave a third of the session on its side, and noise so large that no row is sure."""
     n = len(estimate())
     moved = leaning(np.where(np.arange(n) < 0.35 * n, np.radians(120.0), 0.0))
@@ -187,7 +187,7 @@ def test_a_box_that_was_mounted_anew_is_seen_however_unsure_its_attitude_is() ->
     assert [reason for reason in reasons if "deg off level for 60 s and more: did the logger move?" in reason], reasons
 
 
-def test_a_box_that_was_mounted_anew_a_little_is_seen_though_no_row_is_sure() -> None:
+def test_a_slightly_remounted_logger_is_found_though_no_row_is_certain() -> None:
     moved = leaning(half_way(25.0))
     assert moved.sigmas is not None
     unsure = replace(moved, sigmas=replace(moved.sigmas, attitude=np.full((len(moved), 3), np.radians(5.0))))
@@ -201,7 +201,7 @@ def test_a_kart_on_a_banked_track_passes() -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_box_that_slips_by_four_degrees_about_any_axis_is_seen(axis: int) -> None:
+def test_a_logger_that_slips_by_four_degrees_about_any_axis_is_seen(axis: int) -> None:
     angles = [half_way(4.0) if i == axis else 0.0 for i in range(3)]
     quality = assess(session(), leaning(*angles))
     assert not quality.passed
@@ -211,7 +211,7 @@ def test_a_box_that_slips_by_four_degrees_about_any_axis_is_seen(axis: int) -> N
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize(("degrees", "passes"), [(10.0, False), (3.0, True)])
-def test_a_box_that_is_knocked_in_the_last_minute_is_seen_if_it_went_far(
+def test_a_logger_that_is_knocked_in_the_last_minute_is_seen_if_it_went_far(
     axis: int, degrees: float, passes: bool
 ) -> None:
     t = estimate().t
@@ -222,14 +222,14 @@ def test_a_box_that_is_knocked_in_the_last_minute_is_seen_if_it_went_far(
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_box_that_slips_little_by_little_is_seen(axis: int) -> None:
+def test_a_logger_that_slips_little_by_little_is_seen(axis: int) -> None:
     creep = np.radians(12.0) * np.linspace(0.0, 1.0, len(estimate()))
     quality = assess(session(), leaning(*[creep if i == axis else 0.0 for i in range(3)]))
     assert any("more and more askew" in reason for reason in quality.reasons), quality.reasons
     assert quality.measures["lean_creep_rad"] == pytest.approx(np.radians(10.8), abs=np.radians(1.5))
 
 
-def test_a_box_that_slips_little_by_little_is_seen_though_it_makes_the_mounting_unsure() -> None:
+def test_a_slowly_slipping_logger_is_found_though_it_widens_the_sigma_of_the_mounting() -> None:
     moved = leaning(np.radians(12.0) * np.linspace(0.0, 1.0, len(estimate())))
     assert moved.sigmas is not None
     unsure = replace(moved, sigmas=replace(moved.sigmas, attitude=np.full((len(moved), 3), np.radians(3.0))))
@@ -259,7 +259,7 @@ def test_a_hill_tilts_floor_and_direction_of_travel_alike() -> None:
     assert assess(session(), downhill).measures["largest_lean_step_rad"] == 0.0
 
 
-def test_a_box_that_swings_for_some_seconds_is_seen_and_one_that_always_does_is_not() -> None:
+def test_a_logger_that_swings_for_some_seconds_is_seen_and_one_that_always_does_is_not() -> None:
     t = estimate().t
     swing = np.radians(12.0) * np.sin(2.0 * np.pi * t)
     loose = assess(session(), leaning(np.where((t > 100.0) & (t < 110.0), swing, 0.0)))
@@ -275,7 +275,7 @@ def test_axes_that_no_mounting_explains_are_wrong_wherever_they_were_used(code: 
     assert assess(session(), estimate(report=replace(told, mode="gps-only"))).passed
 
 
-def test_nobody_judges_what_was_while_both_sensors_paused() -> None:
+def test_pauses_of_both_sensors_are_not_judged() -> None:
     """Rows there run away, as nothing tells otherwise; a hole of 100 s is half of this session."""
     whole, found = session(), estimate()
     hole = (whole.gnss.t > 50.0) & (whole.gnss.t < 150.0)
@@ -342,7 +342,7 @@ def test_fixes_alone_of_a_kart_that_stands_are_no_drive(radius: float, speed: fl
     ("radius", "speed", "seconds", "sigma"),
     [(8.0, 6.0, 60.0, 1.0), (40.0, 1.4, 200.0, 1.0), (4.0, 0.4, 20.0, 0.3)],
 )
-def test_fixes_alone_of_a_skid_pad_a_walk_or_a_moment_are_believed(
+def test_fixes_alone_of_a_skid_pad_a_walk_or_a_moment_are_accepted(
     radius: float, speed: float, seconds: float, sigma: float
 ) -> None:
     driven = around(radius, speed, seconds, sigma)
@@ -350,7 +350,7 @@ def test_fixes_alone_of_a_skid_pad_a_walk_or_a_moment_are_believed(
 
 
 @pytest.mark.parametrize("seconds", [58.0, 60.0])
-def test_less_than_a_minute_of_a_box_that_stands_is_no_drive(seconds: float) -> None:
+def test_less_than_a_minute_of_a_logger_at_rest_is_no_drive(seconds: float) -> None:
     stood = around(4.0, 0.1, seconds, 0.1, "full")
     level = np.tile(np.eye(3), (len(stood), 1, 1))
     stood = Trajectory(

@@ -64,7 +64,7 @@ def test_hard_and_soft_iron_are_found_from_laps_in_any_unit(unit: float) -> None
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_any_box_and_any_iron_within_a_kart_s_reach(seed: int) -> None:
+def test_any_mounting_and_any_iron_of_a_kart(seed: int) -> None:
     rng = np.random.default_rng(seed)
     state = laps(so3.exp(2.0 * rng.normal(size=3)))
     crooked = rng.uniform(-0.15, 0.15, (3, 3))
@@ -93,7 +93,7 @@ def test_the_iron_that_was_found_is_within_its_sigmas(seed: int) -> None:
     assert np.all(heading.fit.iron_sigma < 0.3 * 0.47)  # what laps tell, within a third of the field
 
 
-def test_iron_is_as_unsure_as_attitudes_that_lean_and_as_the_engine_s_current() -> None:
+def test_the_sigma_of_iron_contains_attitudes_and_the_engine_s_current() -> None:
     """However many readings there are: both are the same in all of them, or come back in every lap."""
     state = laps()
     quiet = heading_from_field(readings(state, noise=0.01), state, DECLINATION, INCLINATION)
@@ -108,7 +108,7 @@ def test_iron_is_as_unsure_as_attitudes_that_lean_and_as_the_engine_s_current() 
     assert np.all(disturbed.fit.iron_sigma > 1.15 * quiet.fit.iron_sigma)
 
 
-def test_a_calibrated_field_says_nothing_of_iron() -> None:
+def test_a_calibrated_field_has_no_iron() -> None:
     state = laps()
     heading = heading_from_field(readings(state, np.zeros(3), np.eye(3)), state, DECLINATION, INCLINATION)
     assert heading is not None
@@ -123,7 +123,7 @@ def test_its_rows_read_zero_at_the_true_attitude() -> None:
     assert np.max(np.abs(rows.residual)) < 2.0 * DEG
 
 
-def test_a_field_that_was_calibrated_before_is_left_alone_and_says_where_north_is() -> None:
+def test_a_field_that_was_calibrated_before_is_unchanged_and_gives_north() -> None:
     state = laps()
     mag = readings(state, np.zeros(3), np.eye(3), noise=0.0, unit=1.0 / 47.0)
     heading = heading_from_field(mag, state, DECLINATION, INCLINATION)
@@ -143,7 +143,7 @@ def test_sigma_never_claims_more_than_a_kart_s_iron_allows() -> None:
     assert clean.sigma == FLOOR
 
 
-def test_many_headings_of_a_fitted_field_know_no_more_than_few() -> None:
+def test_many_headings_of_a_fitted_field_have_no_more_information_than_few() -> None:
     """The correction was fitted to the attitude they are to tell, and what it leaves comes back in every lap."""
     state = laps()
     heading = heading_from_field(readings(state), state, DECLINATION, INCLINATION)

@@ -53,7 +53,7 @@ def naive(imu: ImuSamples, t: np.ndarray, n_bins: int) -> BinnedImu:
 
 
 class TestBins:
-    def test_50_hz_bins_of_a_coning_and_sculling_box_integrate_like_its_1_khz_samples(self) -> None:
+    def test_50_hz_bins_of_a_coning_and_sculling_logger_integrate_like_its_1_khz_samples(self) -> None:
         # 8 Hz, 3 deg and 4 m/s^2: a hard-driven kart over kerbs. 2 s are ten intervals between keyframes in one.
         motion, t = Shaken(8.0, 3.0 * DEG, 4.0), np.array([1.0, 3.0])
         imu = motion.samples(1000.0, 0.0, 4.0)

@@ -53,7 +53,7 @@ def test_antenna_and_line_err_with_attitude_motion_and_arm() -> None:
     np.testing.assert_allclose(track[:-1, 1], 0.5 * np.sum(line[:-1] * line[1:], axis=(1, 2)), rtol=1e-4, atol=1e-7)
 
 
-def test_who_does_not_know_when_does_not_know_how_fast_either() -> None:
+def test_uncertain_times_widen_the_sigma_of_velocity() -> None:
     """A sample that is true 10 ms later has the velocity of then: of a kart that brakes at 5 m/s^2 and turns at 10."""
     rows = DenseRows.empty(1)
     for values in rows.sigmas.values():
@@ -68,7 +68,7 @@ def test_who_does_not_know_when_does_not_know_how_fast_either() -> None:
     np.testing.assert_array_equal(rows.sigmas["attitude"], beside)
 
 
-def test_who_does_not_know_when_does_not_know_where_the_nose_is() -> None:
+def test_uncertain_times_widen_the_sigma_of_heading() -> None:
     rows = DenseRows.empty(1)
     for values in rows.sigmas.values():
         values[...] = 0.05

@@ -72,7 +72,7 @@ def told(
 
 
 @pytest.mark.parametrize("key", ["gps_position_latency", "gps_velocity_latency"])
-def test_nobody_says_whether_a_sample_is_of_its_moment_or_of_the_time_before(key: str) -> None:
+def test_half_an_interval_of_the_sample_times_is_unknown(key: str) -> None:
     """Half a period lies between both: as sigma, that of any time within it. Filters hold it back by 1.5 ms or so."""
     assert told(0.0)[key].sigma == pytest.approx(math.hypot(2e-3, 1.5e-3))
     assert told(0.02)[key].sigma == pytest.approx(math.hypot(2e-3, 1.5e-3, 0.01 / math.sqrt(3.0)))
@@ -80,7 +80,7 @@ def test_nobody_says_whether_a_sample_is_of_its_moment_or_of_the_time_before(key
     assert told(0.02)["lever_arm_b"].sigma == told(0.0)["lever_arm_b"].sigma
 
 
-def test_stamps_that_are_too_coarse_leave_delays_unsure_whatever_is_stated() -> None:
+def test_coarse_stamps_widen_the_sigmas_of_delays() -> None:
     for config in (SessionConfig(), SessionConfig(imu_delay=0.0)):
         of_stamps = told(0.0, stamp_sigma=0.05, config=config)["gps_velocity_latency"].sigma
         assert of_stamps == pytest.approx(0.05, rel=0.01)
@@ -91,14 +91,14 @@ def test_where_the_delay_of_the_samples_is_stated_their_moment_is_known() -> Non
     assert stated["gps_velocity_latency"].sigma == pytest.approx(2e-3)
 
 
-def test_an_antenna_that_leans_looks_like_a_receiver_that_answers_late() -> None:
+def test_a_leaning_antenna_resembles_a_late_receiver() -> None:
     """Half a metre above the box; as the height of the arm is not known, neither is that."""
     known, unknown = told(0.0, sigma=2e-4), told(0.0, sigma=2e-4, holds_height=True)
     assert known["gps_velocity_response"].sigma == pytest.approx(2e-4)
     assert unknown["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 1.1e-3))
 
 
-def test_an_arm_that_keeps_to_the_course_says_less_of_antenna_and_receiver() -> None:
+def test_an_arm_along_the_course_shows_less_of_antenna_and_receiver() -> None:
     """The nose is beside the course by the slip, 0.01 rad per m/s^2; the box goes round the column."""
     frame, wheel = (told(0.0, sigma=2e-4, is_steered=is_steered) for is_steered in (False, True))
     assert frame["gps_velocity_response"].sigma == pytest.approx(2e-4)
@@ -107,7 +107,7 @@ def test_an_arm_that_keeps_to_the_course_says_less_of_antenna_and_receiver() -> 
     assert wheel["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-4, [0.1, 0.1, 0.0]))
 
 
-def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
+def test_a_parked_kart_has_its_priors_and_no_more() -> None:
     assert told(0.02, drives=False)["gps_position_latency"].sigma == pytest.approx(0.25)
 
 
@@ -117,7 +117,7 @@ def test_how_large_the_wander_is_shows_with_how_long_it_lasts(spread: float, obs
     assert value.observable == observable
 
 
-def test_a_noise_is_as_unsure_as_the_session_tells_it() -> None:
+def test_the_sigma_of_a_noise_follows_from_the_session() -> None:
     """As any box's where nothing tells it, and then it is a default."""
     spreads = np.array([0.05, 0.05, 0.3]), np.array([0.1, 0.1, 0.7])
     each = replace(UNKNOWN, accel=0.1, gyro=0.2, position=spreads[0], velocity=spreads[1])

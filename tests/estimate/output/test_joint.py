@@ -23,7 +23,7 @@ class Known:
 
 
 @pytest.mark.parametrize("apart", [1.0, 20.0, 100.0, 1000.0])
-def test_a_place_wanders_as_the_spectrum_of_two_lags_says(apart: float) -> None:
+def test_a_position_wanders_as_the_spectrum_of_two_lags(apart: float) -> None:
     c, a = 1.0 / DOPPLER.tau, 1.0 / POSITION_TAU
 
     def density(w: float) -> float:

@@ -60,7 +60,7 @@ def test_a_known_mounting_is_found_though_the_kart_slides_and_leans_with_its_acc
     assert np.max(np.abs(so3.log(found.R_bs @ R_bs.T))) < 0.15 * DEG
 
 
-def test_more_turns_to_one_side_do_not_pass_for_a_crooked_box() -> None:
+def test_more_turns_to_one_side_do_not_pass_for_a_crooked_mounting() -> None:
     R_bs = random_rotation(1)
     state = state_of_drive(R_bs, slip=1.0 * DEG, lean=0.5 * DEG, noise=0.2 * DEG, turns=0.3)
     found = fit_mounting(state, R_bs)
@@ -99,14 +99,14 @@ def uphill(state: State, R_bs: np.ndarray, slope: float) -> State:
 
 
 @pytest.mark.parametrize("slope", [0.09, -0.05])
-def test_a_road_that_climbs_all_the_way_does_not_pass_for_a_crooked_box(slope: float) -> None:
+def test_a_road_that_climbs_all_the_way_does_not_pass_for_a_crooked_mounting(slope: float) -> None:
     R_bs = random_rotation(4)
     state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
     found = fit_mounting(uphill(state, R_bs, slope), R_bs)
     assert np.max(np.abs(so3.log(found.R_bs @ R_bs.T))) < 0.15 * DEG
 
 
-def test_pitch_is_as_unsure_as_the_mean_slope_of_the_road() -> None:
+def test_the_sigma_of_pitch_contains_the_mean_slope_of_the_road() -> None:
     R_bs = random_rotation(4)
     state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
     length = float(np.sum(np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]))) * INTERVAL
@@ -128,7 +128,7 @@ def test_wild_slides_are_left_out() -> None:
     assert np.max(np.abs(so3.log(fit_mounting(thrown, rough(R_bs, 0)).R_bs @ R_bs.T))) < 0.5 * DEG
 
 
-def test_a_kart_that_hardly_moved_keeps_the_rough_mounting_and_says_so() -> None:
+def test_a_kart_that_hardly_moved_keeps_the_rough_mounting_with_its_sigma() -> None:
     R_bs = random_rotation(3)
     state = state_of_drive(R_bs, 0.0, 0.0, 0.0)
     slow = replace(state, velocity_n=0.1 * state.velocity_n)
@@ -154,7 +154,7 @@ def keyframes_of_drive(wheel: float, lean: float, unsure: float, column: float =
 
 
 @pytest.mark.parametrize("column", [30.0 * DEG, 60.0 * DEG])
-def test_a_box_that_turns_with_the_steering_wheel_is_noticed(column: float) -> None:
+def test_a_logger_that_turns_with_the_steering_wheel_is_noticed(column: float) -> None:
     swing = swing_on_the_wheel(keyframes_of_drive(10.0 * DEG, 0.5 * DEG, 1.0 * DEG, column))
     assert swing is not None
     roll, pitch, yaw = swing / DEG
@@ -172,11 +172,11 @@ def test_a_box_that_turns_with_the_steering_wheel_is_noticed(column: float) -> N
         (10.0 * DEG, 0.5 * DEG, 9.0 * DEG),  # an attitude that is not known
     ],
 )
-def test_no_other_box_is_taken_for_one_on_the_wheel(wheel: float, lean: float, unsure: float) -> None:
+def test_no_other_logger_is_taken_for_one_on_the_wheel(wheel: float, lean: float, unsure: float) -> None:
     assert swing_on_the_wheel(keyframes_of_drive(wheel, lean, unsure)) is None
 
 
-def test_where_the_samples_tell_a_wheel_attitudes_may_be_as_unsure_as_it_swings() -> None:
+def test_on_a_wheel_attitudes_have_the_sigma_of_its_swing() -> None:
     unsure = keyframes_of_drive(10.0 * DEG, 0.5 * DEG, 9.0 * DEG)
     swing = swing_on_the_wheel(unsure, is_steered=True)
     assert swing is not None
@@ -202,7 +202,7 @@ def test_samples_on_one_side_tell_a_keyframe() -> None:
     assert np.all(are_observed(np.array([0.0, 1.0, 0.0, 1.0, 0.0])))  # bursts in every other interval tell all
 
 
-def test_the_nose_that_slip_tells_is_beside_axes_that_are_not_quite_level() -> None:
+def test_the_heading_from_slip_is_beside_axes_that_are_not_quite_level() -> None:
     """Of an alignment with few fixes: 8 deg off level, half a radian off the nose."""
     R_bs = so3.exp(np.array([[0.3, -0.8, 2.0]]))[0]
     tilted = so3.exp(np.array([[8.0 * DEG, -8.0 * DEG, 0.0]]))[0]

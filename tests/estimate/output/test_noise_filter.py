@@ -8,7 +8,7 @@ DT, N = 0.02, 15_000
 T = DT * np.arange(N)
 
 
-def test_a_slow_signal_comes_out_as_near_as_the_variance_says() -> None:
+def test_a_slow_signal_is_recovered_within_its_variance() -> None:
     rng, noise = np.random.default_rng(1), np.array([4.0, 0.25])
     signal = np.column_stack([3.0 * np.sin(2.0 * np.pi * 0.3 * T) + 0.002 * T, np.cos(2.0 * np.pi * 1.1 * T)])
     found, variance = without_noise(

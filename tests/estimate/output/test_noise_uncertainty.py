@@ -57,7 +57,7 @@ def residuals(left: float, of_each: int) -> Residuals:
     return Residuals(np.full(N, of_each * left), np.full(N, of_each * left), float(of_each * N))
 
 
-def test_each_noise_is_told_by_what_is_left_of_its_own_residuals() -> None:
+def test_each_noise_is_identified_by_its_own_residuals() -> None:
     found = told()
     assert found.accel == pytest.approx(of_force(residuals(LEFT["force"], 3), has_doppler=True))
     assert found.gyro == pytest.approx(of_rate(residuals(LEFT["rate"], 3)))

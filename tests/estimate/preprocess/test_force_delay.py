@@ -99,7 +99,7 @@ def test_slow_samples_have_the_bands_that_fit() -> None:
     assert [band.high for band in band_delays(*turned_box(5, rate=12.5, duration=400.0))] == [1.0, 2.0, 4.0]
 
 
-def test_the_axes_of_the_box_do_not_matter() -> None:
+def test_the_axes_of_the_sensor_do_not_matter() -> None:
     t, force, rate = turned_box(6)
     R = so3.exp(np.array([0.4, -1.3, 2.0]))
     straight, askew = force_delay(t, force, rate), force_delay(t, force @ R, rate @ R)
@@ -138,7 +138,7 @@ def test_of_a_long_session_the_part_with_most_turning_is_read() -> None:
     assert abs(found.delay - 0.03) < 4.0 * found.sigma
 
 
-def test_where_the_force_changes_by_another_size_than_the_turning_nothing_is_said() -> None:
+def test_a_force_of_another_size_than_the_turning_gives_no_delay() -> None:
     t, force, rate = turned_box(10)
     assert not force_delay(t, force, 0.5 * rate).is_seen  # a car leans half as much as its seat is thrown about
     assert not force_delay(t, force, 2.0 * rate).is_seen
@@ -178,7 +178,7 @@ def test_samples_that_tell_nothing_are_no_trouble(samples: object, n: int) -> No
 
 
 @pytest.mark.parametrize("preset", ["white", "kart", "kart_harsh"])
-def test_of_a_box_on_the_frame_of_a_simulated_kart_nothing_is_said(preset: str) -> None:
+def test_a_logger_on_the_frame_of_a_simulated_kart_has_no_delay(preset: str) -> None:
     for seed in range(3):
         imu = prepare(simulate_preset(preset, seed, duration=100.0).raw).imu
         assert imu is not None
@@ -201,9 +201,7 @@ def test_on_the_wheel_of_a_simulated_kart_it_is_found(preset: str, delay: float)
     ("delay", "sigma", "unsure"),
     [(0.02, 0.002, 0.002), (0.013, 0.004, 0.01237), (0.004, 0.002, 0.0), (0.0, 0.003, 0.0)],
 )
-def test_times_are_unsure_by_a_delay_that_is_likely_and_by_what_is_left_of_one(
-    delay: float, sigma: float, unsure: float
-) -> None:
+def test_the_sigma_of_times_contains_a_likely_delay_and_its_rest(delay: float, sigma: float, unsure: float) -> None:
     assert ForceDelay(delay, sigma, True).unsure == pytest.approx(unsure, abs=1e-5)
     assert ForceDelay(0.0, np.inf, False).unsure == 0.0
 
@@ -213,7 +211,7 @@ def band(delay: float, size: float = 1.0) -> BandDelay:
     return BandDelay(1.0, 2.0, delay, 1e-3, size, 0.01)
 
 
-def test_bands_that_differ_by_more_than_their_sigmas_know_the_delay_less_well(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bands_that_differ_by_more_than_their_sigmas_widen_that_of_the_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = np.zeros((1, 3))
     for apart, at_odds in ((0.5e-3, 1.0), (3e-3, 3.0 / np.sqrt(2.0))):  # of two, the rms in sigmas; never less than 1
         monkeypatch.setattr(module, "band_delays", lambda *_, by=apart: [band(0.03 - 0.5 * by), band(0.03 + 0.5 * by)])

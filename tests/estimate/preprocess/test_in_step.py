@@ -103,7 +103,7 @@ def test_an_ordinary_session_is_left_as_it_is() -> None:
 
 
 @pytest.mark.parametrize(("recording", "delay"), [("kart_adria_first_half", 0.055), ("kart_lignano_racebox", None)])
-def test_real_karts_with_the_box_on_the_wheel(recording: str, delay: float | None, data_directory: Path) -> None:
+def test_real_karts_with_the_logger_on_the_wheel(recording: str, delay: float | None, data_directory: Path) -> None:
     _, found = in_step(prepare(load_raw(data_directory / recording)))
     assert found.is_seen
     assert found.is_found == (delay is not None)
@@ -112,7 +112,7 @@ def test_real_karts_with_the_box_on_the_wheel(recording: str, delay: float | Non
 
 
 @pytest.mark.parametrize("recording", ["car_hi600_rtk", "car_hi600_twin_a", "car_hi600_twin_b", "car_comma2k19"])
-def test_of_a_box_fixed_in_a_car_nothing_is_said(recording: str, data_directory: Path) -> None:
+def test_a_logger_fixed_in_a_car_is_not_reported(recording: str, data_directory: Path) -> None:
     _, found = in_step(prepare(load_raw(data_directory / recording)))
     assert not found.is_seen
 

@@ -26,7 +26,7 @@ def driven(preset: str, seed: int, wheel: float = 0.0, seconds: float = 90.0) ->
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_box_on_the_wheel_is_seen_however_it_is_turned(preset: str) -> None:
+def test_a_logger_on_the_wheel_is_seen_however_it_is_turned(preset: str) -> None:
     imu, fixes = driven(preset, 2, 10.0 * DEG)
     assert is_on_wheel(imu, fixes)
     for seed in range(3):
@@ -37,7 +37,7 @@ def test_a_box_on_the_wheel_is_seen_however_it_is_turned(preset: str) -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("seconds", [45.0, 90.0])
-def test_a_box_on_the_frame_is_not_taken_for_one(preset: str, seconds: float) -> None:
+def test_a_logger_on_the_frame_is_not_taken_for_one_on_the_wheel(preset: str, seconds: float) -> None:
     assert not any(is_on_wheel(*driven(preset, seed, seconds=seconds)) for seed in range(4))
 
 
@@ -58,7 +58,7 @@ def test_quick_samples_tell_the_same_in_means(wheel: float, monkeypatch: pytest.
     assert is_on_wheel(imu, raw.gnss) == (wheel > 0.0)
 
 
-def test_a_box_that_rocks_by_more_than_it_turns_is_loose_and_not_on_the_wheel() -> None:
+def test_a_logger_that_rocks_by_more_than_it_turns_is_loose_and_not_on_the_wheel() -> None:
     simulation = simulate_preset("kart", 2, duration=90.0, motion_steering=10.0 * DEG)
     assert simulation.raw.imu is not None
     imu, ahead_s = beginning(simulation.raw.imu), simulation.scenario.R_bs.T @ [1.0, 0.0, 0.0]
@@ -86,7 +86,7 @@ def test_an_engine_that_turns_about_as_often_as_samples_are_taken_is_no_wheel() 
     assert not is_on_wheel(shaken, simulation.raw.gnss)
 
 
-def test_nothing_is_said_of_a_kart_that_did_not_drive() -> None:
+def test_a_kart_that_did_not_drive_is_not_judged() -> None:
     imu, fixes = driven("kart", 2, 10.0 * DEG)
     still = replace(fixes, velocity_n=np.zeros_like(fixes.velocity_n))
     unknown = replace(fixes, velocity_n=np.full_like(fixes.velocity_n, np.nan))
@@ -101,7 +101,7 @@ def test_a_wheel_explains_axes_that_disagree_but_not_mirrored_ones() -> None:
     assert without_the_wheels((mirrored, apart)) == (mirrored, apart)
 
 
-def test_of_a_long_session_a_part_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_long_session_a_part_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a day ten copies were in memory at once; the part begins where the kart drives off."""
     looked_at = []
     mean = on_wheel.running_mean

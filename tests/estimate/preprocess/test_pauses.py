@@ -72,7 +72,7 @@ def test_times_that_are_cut_out_are_at_the_cut() -> None:
     np.testing.assert_array_equal(TWO.closed(t[TWO.are_cut_out(t)]), [10.0, 10.0, 10.0, 20.0, 20.0])
 
 
-def test_what_lies_between_the_cuts_is_told_apart() -> None:
+def test_what_lies_between_the_cuts_is_distinguished() -> None:
     t = np.array([5.0, 9.0, 10.0, 19.0, 21.0])
     assert TWO.stretches(t) == [slice(0, 2), slice(2, 4), slice(4, 5)]
 
@@ -215,7 +215,7 @@ def test_constants_are_as_far_off_as_they_say() -> None:
         assert abs(error) < 3.0 * float(np.asarray(found.sigma))
 
 
-def test_rows_go_through_the_pause_and_say_that_nobody_knows() -> None:
+def test_rows_go_through_the_pause_with_large_sigmas() -> None:
     found = smoothed(*HOUR).found
     np.testing.assert_allclose(np.diff(found.t), 0.02, rtol=1e-6)
     inside = (found.t > 100.0) & (found.t < 3660.0)
@@ -266,7 +266,7 @@ def test_after_a_pause_the_kart_may_be_at_another_place_and_point_elsewhere() ->
     assert rms(so3.log(found.R_nb[late].transpose(0, 2, 1) @ truth.R_nb[late])) < 1.5 * DEG
 
 
-def test_samples_of_no_use_are_told_of_whatever_pauses_there_are() -> None:
+def test_unusable_samples_are_reported_whatever_pauses_there_are() -> None:
     session = paused(whole(), *HOUR)
     assert session.imu is not None
     noise = np.random.default_rng(1).normal(size=(2, len(session.imu.t), 3))

@@ -40,7 +40,7 @@ def test_a_crystal_is_left_alone() -> None:
     assert clock_problems(session(200e-6)) == ()
 
 
-def test_a_clock_by_which_laps_are_wrong_and_speeds_are_right_is_left_alone_but_said() -> None:
+def test_a_clock_by_which_laps_are_wrong_and_speeds_are_right_is_unchanged_but_reported() -> None:
     slow = session(-0.0015)
     assert clock_scale(slow) == 1.0
     (problem,) = clock_problems(slow)
@@ -126,7 +126,7 @@ def test_utc_goes_on_at_its_own_rate_where_the_clock_of_the_session_does_not(dri
     np.testing.assert_allclose(clock.at(t), 1.7e9 + t / (1.0 + drift), rtol=0.0, atol=1e-3)
 
 
-def test_the_start_is_told_to_the_millisecond_as_results_store_it() -> None:
+def test_the_start_is_given_to_the_millisecond_as_results_store_it() -> None:
     given = session(0.0)
     known = replace(given, gnss=replace(given.gnss, unix_s=None), unix_at_zero=1.7e9 + 0.1)
     assert utc_clock(known, rows(3)) == UtcClock(0.0004, 1.7e9 + 0.1)

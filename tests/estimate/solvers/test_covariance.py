@@ -114,7 +114,7 @@ def test_the_joint_of_any_functions_is_that_of_the_inverse() -> None:
     np.testing.assert_allclose(chain_of(system, n).joint(first, left, right, constants), expected, atol=1e-9)
 
 
-def test_a_thinned_chain_knows_the_same_of_the_keyframes_that_it_keeps() -> None:
+def test_a_thinned_chain_has_the_same_covariance_of_its_keyframes() -> None:
     n, every = 13, 4
     system, _ = random_system(np.random.default_rng(4), n)
     whole = chain_of(system, n)
