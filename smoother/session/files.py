@@ -1,5 +1,6 @@
 """Which file of a directory plays which part. Looks at names, and at the head of a file that a person named."""
 
+import contextlib
 import re
 import shlex
 from dataclasses import dataclass, replace
@@ -7,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from smoother.errors import SessionError
-from smoother.session.readers.layout import Layout, about_table, has_times_only, holds_places, layout_in
+from smoother.session.readers.layout import Layout, about_table, is_of_another_program, layout_in
 from smoother.session.tables import read_header
 from smoother.session.text import in_utf8
 
@@ -171,20 +172,16 @@ class SessionFiles:
     def unnamed_sentences(self) -> Path | None:
         """A file with NMEA sentences that is not called so, and is read only if a person names it."""
         paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
-        return next((path for path in paths if _holds_sentences(path)), None)
+        return next((path for path in paths if shows_sentences(_beginning(path, SENTENCE_BYTES))), None)
 
     def unnamed_fixes(self) -> Path | None:
         """A table with columns of gps.csv that is not called so, and is read only if a person names it."""
         return next((path for path in self._fix_tables() if not RESULTS.issubset(self.names)), None)
 
     def unknown_table(self) -> Path | None:
-        """A table with places that no reader knows."""
-        return next((path for name in self.names if holds_places(path := self.directory / name)), None)
-
-    def table_without_places(self) -> Path | None:
-        """Another program's table with times, exported without the channels of the GPS."""
+        """Another program's table that no reader knows."""
         paths = (self.directory / name for name in self.names if name.lower() not in (*OWN_NAMES, *OF_A_SESSION))
-        return next((path for path in paths if has_times_only(path)), None)
+        return next((path for path in paths if is_of_another_program(path)), None)
 
     def recordings(self) -> list[Path]:
         """Every file that a recording is read from, or would be if a person named it; what all others lie beside."""
@@ -275,12 +272,13 @@ def _kind(entry: Path) -> str:
     return "a link that leads nowhere" if entry.is_symlink() else "no file"
 
 
-def _holds_sentences(path: Path) -> bool:
+def _beginning(path: Path, size: int) -> bytes:
+    """The first bytes of a file, none of one that cannot be read: whoever needs it will say so."""
     try:
         with path.open("rb") as file:
-            return shows_sentences(file.read(SENTENCE_BYTES))
+            return file.read(size)
     except OSError:
-        return False  # it is not what anybody asked for
+        return b""
 
 
 def shows_sentences(start: bytes) -> bool:
@@ -316,33 +314,23 @@ def table_layout(path: Path) -> Layout | None:
 
 def _is_of_camera(path: Path) -> bool:
     """Whether a video is of a camera that writes telemetry."""
-    try:
-        with path.open("rb") as file:
-            if OF_CAMERA in file.read(CAMERA_BYTES):
-                return True
-            file.seek(max(0, path.stat().st_size - CAMERA_BYTES))
-            return OF_CAMERA in file.read(CAMERA_BYTES)
-    except OSError:
-        return False
+    if OF_CAMERA in _beginning(path, CAMERA_BYTES):
+        return True
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - CAMERA_BYTES))
+        return OF_CAMERA in file.read(CAMERA_BYTES)
+    return False
 
 
 def is_of_sentences(path: Path) -> bool:
     """Whether a file that is called a table has NMEA sentences for lines, below one that is cut or names no columns."""
-    try:
-        with path.open("rb") as file:
-            lines = [line for line in in_utf8(file.read(HEAD_BYTES)).splitlines() if line.strip()][:2]
-    except OSError:
-        return False  # whoever needs the file will say so
+    lines = [line for line in in_utf8(_beginning(path, HEAD_BYTES)).splitlines() if line.strip()][:2]
     return any(SENTENCE_LINE.match(line) for line in lines) and b"lat" not in lines[0].lower()
 
 
 def _shows_messages(path: Path) -> bool:
     """Whether a file of a u-blox receiver has its own messages, and no sentences beside them, which are read."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(SENTENCE_BYTES)
-    except OSError:
-        return False
+    head = _beginning(path, SENTENCE_BYTES)
     return UBX_SYNC in head and SENTENCE.search(head) is None
 
 

@@ -61,8 +61,6 @@ def load_raw(path: Path) -> RawSession:
         )
     if (table := files.unknown_table()) is not None:
         raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
-    if (table := files.table_without_places()) is not None:
-        raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
     broken = "".join(f" ({name} is {kind})" for name, kind in files.broken_recordings().items())
     raise SessionError(f"{path}: no recording found{broken}; wanted {wanted()}")
 

@@ -14,7 +14,7 @@ from smoother.session.readers.names import meaning_of
 from smoother.session.readers.sheet import Column, Sheet, places_of, sheet_of
 from smoother.session.tables import cells_of, head_lines, read_rows, separator_of
 from smoother.session.text import text_head
-from smoother.words import counted, listed
+from smoother.words import listed
 
 MOST_LINES = 60  # before the names, about the session
 COMMENT = "#"
@@ -181,72 +181,39 @@ def sheet_in(path: Path) -> Sheet:
 
 
 LINES_OF_UNKNOWN = 40  # before the names, about the session
-LATITUDE, LONGITUDE = ("lat",), ("lon", "lng")  # as names of them hold
-OTHERS = ("lateral", "longitudinal", "latacc", "lonacc", "longacc", "accel")  # that hold it too
 CLOCKS = {"time", "date"}
 FEWEST_COLUMNS = 4  # of a table that somebody exported
-NEEDED = "t_s (seconds), lat_deg and lon_deg"
 
 
 def about_table(path: Path) -> str:
     """Which columns a table has and what is wanted, to stand behind its name. Raises SessionError if unreadable."""
-    place, names = _names_of_unknown(path)
+    names, known = _names_of_unknown(path)
     has = f"its columns are {listed(names)}" if names else "it is empty"
-    lines = f", and leave out the {counted(place, 'line')} before the names" if place else ""
-    known = {meaning.quantity for name in names if (meaning := meaning_of(name)) is not None}
-    if known >= {"latitude", "longitude"}:
+    if known >= set(PLACES):
         if known & CLOCKS:
             return f"{has}, but the cells below the places hold no degrees, as 45.0451 (docs/files.md)"
         return f"{has}: no column says when; add one called time, in seconds or as 10:00:00.2 (docs/files.md)"
-    if known & CLOCKS and _places(names) is None:
+    if known & CLOCKS:
         return f"{has}: none says where; export it with the channels of the GPS, or name them lat_deg and lon_deg"
-    if (places := _places(names)) is None:
-        return f"{has}; wanted {NEEDED}, or t_s with ax, ay, az, gx, gy, gz (docs/files.md)"
-    shown = " and ".join(listed([name]) for name in places)
-    return f"{has}; wanted {NEEDED}: rename {shown} and the times{lines} (docs/files.md)"
+    wanted = "t_s (seconds), lat_deg and lon_deg, or t_s with ax, ay, az, gx, gy, gz"
+    return f"{has}; wanted {wanted} (docs/files.md)"
 
 
-def has_times_only(path: Path) -> bool:
-    """Whether a file is another program's table with times and channels, and no places."""
+def is_of_another_program(path: Path) -> bool:
+    """Whether a file is a table with places, or with times and channels, that is not called as is wanted."""
     if not path.name.lower().endswith((".csv", ".csv.gz", ".tsv")):
         return False
     try:
-        names = _names_of_unknown(path)[1]
-    except SessionError:
-        return False
-    known = {meaning.quantity for name in names if (meaning := meaning_of(name)) is not None}
-    return "t_s" not in names and bool(known & CLOCKS) and len(names) >= FEWEST_COLUMNS and _places(names) is None
-
-
-def holds_places(path: Path) -> bool:
-    """Whether a file is a table with columns that are called after latitude and longitude, but not as is wanted."""
-    if not path.name.lower().endswith((".csv", ".csv.gz")):
-        return False
-    try:
-        names = _names_of_unknown(path)[1]
+        names, known = _names_of_unknown(path)
     except SessionError:  # it is not what anybody asked for
         return False
-    return "lat_deg" not in names and _places(names) is not None
+    is_likely = known >= set(PLACES) or (bool(known & CLOCKS) and len(names) >= FEWEST_COLUMNS)
+    return is_likely and not set(names) & set(OWN_NAMES)
 
 
-def _names_of_unknown(path: Path) -> tuple[int, tuple[str, ...]]:
-    """How many lines stand before the names of the columns, and these: of the first line with places, else the first.
-
-    Names are as they stand in the file.
-    """
-    lines = head_lines(path, LINES_OF_UNKNOWN)
-    rows = [cells_of(line) for line in lines]
-    place = next((i for i, row in enumerate(rows) if _places(row) is not None), None)
-    if place is None:  # without places the row with most names that are known
-        known = [sum(meaning_of(name) is not None for name in row) for row in rows]
-        place = known.index(max(known)) if known and max(known) > 1 else 0
-    return place, rows[place] if rows else ()
-
-
-def _places(names: tuple[str, ...]) -> tuple[str, str] | None:
-    """The names of latitude and longitude among those of a table."""
-    found = []
-    for wanted in (LATITUDE, LONGITUDE):
-        of_place = (name for name in names if not any(other in name.lower() for other in OTHERS))
-        found.append(next((name for name in of_place if any(part in name.lower() for part in wanted)), None))
-    return None if found[0] is None or found[1] is None else (found[0], found[1])
+def _names_of_unknown(path: Path) -> tuple[tuple[str, ...], set[str]]:
+    """Names of the columns, as they stand in the file, and their quantities: of the line with most that are known."""
+    rows = [cells_of(line) for line in head_lines(path, LINES_OF_UNKNOWN)]
+    known = [{meaning.quantity for name in row if (meaning := meaning_of(name)) is not None} for row in rows]
+    place = max(range(len(rows)), key=lambda i: len(known[i]), default=0)
+    return (rows[place], known[place]) if rows else ((), set())
