@@ -10,16 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from smoother.errors import SessionError
-from smoother.samples import Channel, GnssFixes, Problem
+from smoother.samples import GnssFixes, Problem
 from smoother.session.files import IMU_NAMES, Foreign, SessionFiles, list_files
 from smoother.session.recording import Recording
 
 if TYPE_CHECKING:
     from smoother.session.log import LogFiles
     from smoother.session.readers.foreign import ForeignReading
+
+CALLED = {"mag": "magnetometer", "wheel_speed": "wheel speed", "channels": "channels"}  # tables beside, for people
 
 
 @dataclass(frozen=True)
@@ -93,10 +95,7 @@ def _read_columns(files: SessionFiles) -> Recording:
     from smoother.session.time_unit import lasts_like
 
     imu_table = files.imu_table()
-    mag_table, wheel_table, channel_table = (
-        files.find(f"{name}.csv", f"{name}.csv.gz") for name in ("mag", "wheel_speed", "channels")
-    )
-    imu, mag, wheel, unit = None, None, None, None
+    imu, unit = None, None
     problems: list[Problem] = []
     if imu_table is not None:
         try:
@@ -113,32 +112,21 @@ def _read_columns(files: SessionFiles) -> Recording:
             imu, problems, unit = read_imu_and_unit(imu_table, is_slow=True)
         _require_one_run(imu_table.name, gnss_file.name, problems, gnss_problems)
     problems += gnss_problems
+    inputs = [file.name for file in (imu_table, gnss_file) if file is not None]
     clock = SessionClock(gnss.t, imu is not None, unit)
-    if mag_table is not None:
+    beside: dict[str, Any] = {}
+    for name, read in (("mag", read_mag), ("wheel_speed", read_wheel_speed), ("channels", read_channels)):
+        table = files.find(f"{name}.csv", f"{name}.csv.gz")
+        if table is None:
+            continue
+        inputs.append(table.name)
         try:
-            mag, said = read_mag(mag_table, clock)
+            beside[name], said = read(table, clock)
             problems += said
         except SessionError as error:  # a session is complete without it
-            problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
-    if wheel_table is not None:
-        try:
-            wheel, said = read_wheel_speed(wheel_table, clock)
-            problems += said
-        except SessionError as error:
-            problems.append(Problem("wheel_speed_unusable", f"{error}; smoothed without wheel speed"))
-    channels: tuple[Channel, ...] = ()
-    if channel_table is not None:
-        try:
-            channels, said = read_channels(channel_table, clock)
-            problems += said
-        except SessionError as error:
-            problems.append(Problem("channels_unusable", f"{error}; smoothed without channels"))
-    tables = (imu_table, gnss_file, mag_table, wheel_table, channel_table)
-    inputs = tuple(file.name for file in tables if file is not None)
+            problems.append(Problem(f"{name}_unusable", f"{error}; smoothed without {CALLED[name]}"))
     imu_file = imu_table.name if imu_table is not None else ""
-    return Recording(
-        gnss, gnss_file.name, inputs, tuple(problems), imu, imu_file, mag, wheel_speed=wheel, channels=channels
-    )
+    return Recording(gnss, gnss_file.name, tuple(inputs), tuple(problems), imu, imu_file, **beside)
 
 
 def _require_one_run(imu: str, fixes: str, of_imu: Sequence[Problem], of_fixes: Sequence[Problem]) -> None:
