@@ -36,6 +36,7 @@ from smoother.session.log_format import (
 )
 from smoother.session.nmea import fixes_from_sentences
 from smoother.session.rows import in_time_order, is_all
+from smoother.session.text import unreadable
 from smoother.units import DEG, MICROSECOND, STANDARD_GRAVITY
 from smoother.words import counted, span
 
@@ -206,18 +207,14 @@ def _first_bytes(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(HEAD_BYTES)
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
 def _all_bytes(path: Path) -> bytes | mmap:
     try:
         return contents(path)
     except OSError as error:
-        raise _unreadable(path, error) from error
-
-
-def _unreadable(path: Path, error: OSError) -> SessionError:
-    return SessionError(f"{path.name}: cannot be read ({error.strerror or error})")
+        raise unreadable(path, error) from error
 
 
 def read_records(files: LogFiles) -> tuple[LogRecords, Losses]:

@@ -23,7 +23,7 @@ from smoother.samples import GnssFixes, Problem
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
-from smoother.session.text import in_utf8
+from smoother.session.text import in_utf8, whole
 from smoother.session.time_unit import in_seconds, unit_by_utc
 from smoother.session.velned import Velocities
 from smoother.units import DAY, KMH, KNOT
@@ -115,10 +115,7 @@ class NmeaReading:
 
 def read_nmea(path: Path) -> NmeaReading:
     """Read a file of sentences, each line optionally prefixed `t_s,`. Raises SessionError if it holds none."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+    data = whole(path)
     if not data.strip():
         raise SessionError(f"{path.name}: the file is empty; expected NMEA sentences")
     return fixes_from_sentences([(math.nan, in_utf8(data))], path.name)
@@ -171,11 +168,11 @@ def _parse_all(received: Iterable[tuple[float, bytes]], tally: _Tally) -> _Sente
         np.frombuffer(times_of_day),
         {kind: np.frombuffer(values[kind]).reshape(-1, len(_COLUMNS_OF[kind])) for kind in _PRECEDENCE},
     )
-    whole = np.frombuffer(checked, dtype=np.bool_)
-    if not any_checked or np.all(whole):
+    is_checked = np.frombuffer(checked, dtype=np.bool_)
+    if not any_checked or np.all(is_checked):
         return sentences
-    tally.unreadable += int(np.count_nonzero(~whole))  # cut short: in this file a whole sentence has a checksum
-    return sentences.take(whole)
+    tally.unreadable += int(np.count_nonzero(~is_checked))  # cut short: in this file a whole sentence has a checksum
+    return sentences.take(is_checked)
 
 
 def _parse(match: re.Match[bytes], tally: _Tally) -> tuple[float, tuple[float, ...]] | None:
@@ -228,8 +225,8 @@ def _day(year: int, month: int, day: int) -> float:
 
 def _position(message: Any) -> tuple[float, float]:
     """Latitude and longitude in degrees; NaN where a part is missing, for which pynmea2 would say 0."""
-    whole = _COORDINATE.match(message.lat) and _COORDINATE.match(message.lon)
-    if not whole or message.lat_dir not in ("N", "S") or message.lon_dir not in ("E", "W"):
+    are_numbers = _COORDINATE.match(message.lat) and _COORDINATE.match(message.lon)
+    if not are_numbers or message.lat_dir not in ("N", "S") or message.lon_dir not in ("E", "W"):
         return math.nan, math.nan
     try:
         return message.latitude, message.longitude

@@ -27,7 +27,7 @@ __all__ = ["Recording", "finish"]
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
 # said of files whose columns may be right all the same
-OF_NO_COLUMN = ("gps_row_cut", "gps_header_again", "gps_time_unit", "gps_blocks_moved", "gps_repeated_time")
+OF_NO_COLUMN = ("gps_row_cut", "gps_row_damaged", "gps_time_unit", "gps_repeated_time")
 FEWEST_FIXES_FOR_CLOCK = 32
 
 

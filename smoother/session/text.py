@@ -39,6 +39,19 @@ def in_utf8(data: bytes) -> bytes:
     return data if encoding is None else data.decode(encoding, errors="replace").encode()
 
 
+def whole(path: Path) -> bytes:
+    """Return all bytes of a file. Raises SessionError, one line, if it is unreadable."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: Path, error: OSError) -> SessionError:
+    """The error of a file that the system does not let us read."""
+    return SessionError(f"{path.name}: cannot be read ({error.strerror or error})")
+
+
 def text_head(path: Path, size: int = HEAD_BYTES) -> str:
     """Return the beginning of a file, some `size` bytes, as plain text. Raises SessionError if it is unreadable."""
     head = b""
@@ -96,7 +109,7 @@ def _stored(path: Path, size: int) -> Iterator[bytes]:
             while chunk := file.read(size):
                 yield chunk
     except OSError as error:
-        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+        raise unreadable(path, error) from error
 
 
 def _unpacked(chunks: Iterator[bytes], file: str, size: int) -> Iterator[bytes]:

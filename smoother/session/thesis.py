@@ -26,6 +26,7 @@ from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.nmea import fixes_from_sentences
 from smoother.session.rows import in_time_order
+from smoother.session.text import whole
 from smoother.units import DEG, MILLISECOND, STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -86,7 +87,9 @@ class Records:
 
 def read_out(path: Path) -> ThesisRecording:
     """Read out.txt. Raises SessionError if it holds no record or no NMEA sentence."""
-    data = _read_bytes(path)
+    data = whole(path)
+    if not data:
+        raise SessionError(f"{path.name}: the file is empty; was the recording started?")
     records = find_records(data)
     if records.position.size == 0:
         raise SessionError(
@@ -108,7 +111,7 @@ def read_out(path: Path) -> ThesisRecording:
 
 def read_magcalib(path: Path) -> tuple[Array | None, list[Problem]]:
     """Read magcalib.txt: the field (K, 3) in counts, axes s, while the box was turned; None if nothing is in it."""
-    data = np.frombuffer(_read_bytes(path, may_be_empty=True), dtype=np.uint8)
+    data = np.frombuffer(whole(path), dtype=np.uint8)
     starts = _triple_starts(data)
     if starts.size == 0:
         return None, [Problem("magcalib_unusable", f"{path.name}: no magnetometer values in {data.size} bytes")]
@@ -308,13 +311,3 @@ def _marked_triples(octets: npt.NDArray[np.uint8], marks: int) -> IntArray:
         else:
             place += 1
     return np.array(starts, dtype=np.int64)
-
-
-def _read_bytes(path: Path, *, may_be_empty: bool = False) -> bytes:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
-    if not (data or may_be_empty):
-        raise SessionError(f"{path.name}: the file is empty; was the recording started?")
-    return data
