@@ -19,10 +19,10 @@ from smoother.fit.standstill import detect_standstill, fix_speeds
 from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, GnssFixes, Problem, RawImu, RawMag
 from smoother.session.beside import read_mag
+from smoother.session.checks.imu import dead_axes
 from smoother.session.clock import regularize
 from smoother.session.csv_form import read_fixes, read_imu
 from smoother.session.files import SessionFiles, list_files
-from smoother.session.inertial import dead_axes
 from smoother.session.log import LogFiles, imu_samples, list_recordings, mag_samples, read_records
 from smoother.session.nmea import fixes_from_sentences
 from smoother.session.settings import load_settings

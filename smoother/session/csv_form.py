@@ -8,10 +8,10 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.checks.imu import screen_imu
 from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
-from smoother.session.inertial import screen_imu
 from smoother.session.readers.cells import NOTHING
 from smoother.session.tables import Table, cells_of, head_lines, read_table
 from smoother.session.time_unit import in_seconds, unit_by_rate, unit_of_fixes

@@ -7,6 +7,7 @@ go together, are sorted out here; what a file holds is for its own module.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -199,17 +200,11 @@ def _read_foreign(files: SessionFiles) -> Recording:
 
 def _reader_of_one(kind: Foreign) -> Callable[[Path], ForeignReading]:
     """The reader of a kind of which a recording is one file."""
-    if kind == "vbo":
-        from smoother.session.readers.vbo import read_vbo
-
-        return read_vbo
-    if kind == "ubx":
-        from smoother.session.readers.ubx import read_ubx
-
-        return read_ubx
-    from smoother.session.readers.tracks import read_track
-
-    return read_track
+    module, name = {"vbo": ("vbo", "read_vbo"), "ubx": ("ubx", "read_ubx")}.get(kind, ("tracks", "read_track"))
+    reader: Callable[[Path], ForeignReading] = getattr(
+        importlib.import_module(f"smoother.session.readers.{module}"), name
+    )
+    return reader
 
 
 def _read_archive(files: SessionFiles) -> Recording:

@@ -15,8 +15,7 @@ from smoother.errors import SessionError
 from smoother.samples import IMU_AXES_UNKNOWN, IMU_INCOMPLETE, GnssFixes, Problem, RawSession
 from smoother.session.checks.imu import IMU_CHECKS, USABLE
 from smoother.session.checks.table import run
-from smoother.session.checks.times import GAPS, TOGETHER
-from smoother.session.checks.wheel import WHEEL_CHECKS
+from smoother.session.checks.times import GAPS, TOGETHER, WHEEL_CHECKS
 from smoother.session.clock import TimeBase, describe_time_base, regularize, true_fix_times
 from smoother.session.files import SessionFiles
 from smoother.session.recorded import Recording

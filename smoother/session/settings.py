@@ -157,39 +157,30 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _positive(value: Any) -> float:
-    number = _number(value)
+def _density(value: Any) -> float:
+    number, (low, high) = _number(value), DENSITIES
     if number <= 0.0:
         raise ValueError("must be greater than zero; leave it out to have it estimated")
-    return number
-
-
-def _density(value: Any) -> float:
-    number, (low, high) = _positive(value), DENSITIES
     if not low <= number <= high:
         raise ValueError(f"must lie within {low:g} and {high:g}, in SI units; leave it out to have it estimated")
     return number
 
 
-def _latency(value: Any) -> float:
-    number = _number(value)
-    if abs(number) > LONGEST_LATENCY:
-        raise ValueError(f"must lie within {LONGEST_LATENCY:.0f} s; it is in seconds")
-    return number
+def _within(low: float, high: float, text: str) -> Callable[[Any], float]:
+    """Conversion to a number from low to high; text : what else is said of it."""
+
+    def convert(value: Any) -> float:
+        number = _number(value)
+        if not low <= number <= high:
+            raise ValueError(f"must lie within {text}")
+        return number
+
+    return convert
 
 
-def _filter_delay(value: Any) -> float:
-    number = _number(value)
-    if not 0.0 <= number <= LONGEST_FILTER_DELAY:
-        raise ValueError(f"must lie within 0 and {LONGEST_FILTER_DELAY:g} s; it is in seconds")
-    return number
-
-
-def _declination(value: Any) -> float:
-    number = _number(value)
-    if abs(number) > 180.0:
-        raise ValueError("must lie within 180 degrees, east positive")
-    return number
+_latency = _within(-LONGEST_LATENCY, LONGEST_LATENCY, f"{LONGEST_LATENCY:.0f} s; it is in seconds")
+_filter_delay = _within(0.0, LONGEST_FILTER_DELAY, f"0 and {LONGEST_FILTER_DELAY:g} s; it is in seconds")
+_declination = _within(-180.0, 180.0, "180 degrees, east positive")
 
 
 def _lever_arm(value: Any) -> Array:

@@ -11,8 +11,7 @@ from smoother.samples import GnssFixes, RawImu
 from smoother.session.checks.fixes import PATH_CHECKS, ROW_CHECKS
 from smoother.session.checks.imu import IMU_CHECKS, USABLE
 from smoother.session.checks.table import Check, Finding, run
-from smoother.session.checks.times import GAPS, TOGETHER
-from smoother.session.checks.wheel import WHEEL_CHECKS
+from smoother.session.checks.times import GAPS, TOGETHER, WHEEL_CHECKS
 from smoother.session.fix_columns import FixColumns, FixRows, fix_columns
 from smoother.session.recorded import Recording
 

@@ -8,15 +8,6 @@ from smoother.session.checks.imu import IMU_CHECKS
 from .checked import checked, of_code
 
 FIXES = GnssFixes(np.arange(2.0), *(np.array([45.0, 45.1]) for _ in range(3)), np.zeros((2, 3)))
-SILENT = of_code(IMU_CHECKS, "imu_silent")
-
-
-def test_one_axis_that_reads_zero_is_a_reading() -> None:
-    t = np.arange(1000) / 200.0
-    accel, gyro = np.tile([0.0, 0.0, 9.8], (1000, 1)), np.zeros((1000, 3))
-    recording, problems = checked(SILENT, FIXES, RawImu(t, accel, gyro))
-    imu = recording.samples
-    assert imu.t.size == 1000 and not problems
 
 
 def test_what_no_sensor_reads_is_left_out_whatever_the_counts_are_worth() -> None:

@@ -25,8 +25,8 @@ from smoother.samples import (
     are_gaps,
     usual_step,
 )
+from smoother.session.checks.imu import dead_axes
 from smoother.session.clock import are_fix_gaps, regularize
-from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted, span
 

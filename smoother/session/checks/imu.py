@@ -6,13 +6,15 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, median
 from smoother.disc import pieces, release, thinned
-from smoother.samples import DEAD_AXES, GnssFixes, RawImu
+from smoother.samples import DEAD_AXES, SENSOR_AXES, GnssFixes, Problem, RawImu
 from smoother.session.checks.table import Check, Finding, dropped
-from smoother.session.inertial import FEWEST_IMU_SAMPLES, dead_axes
+from smoother.session.fix_columns import METRES_PER_DEGREE
 from smoother.session.recorded import Recording
+from smoother.session.rows import in_time_order, taken
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
 
+FEWEST_IMU_SAMPLES = 100  # fewer show nothing of the motion
 PER_G = np.array([2048.0, 4096.0, 8192.0, 16384.0])  # counts at 16, 8, 4 and 2 g
 PER_DEG_S = np.array([16.4, 32.8, 65.6, 131.2])  # counts at 2000, 1000, 500 and 250 deg/s
 FULL_SCALE = 32768.0
@@ -21,6 +23,47 @@ AS_MUCH = 1.35  # times gravity in the mean, up or down: halfway to the next ran
 WINDOW = 0.5  # s, over which turning is compared; a fix is late by less
 LEAST_SPEED = 4.0  # m/s; slower, the path says little of turning
 FEWEST_WINDOWS = 20
+
+
+def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, list[Problem]]:
+    """Return the usable samples in time order (maybe none) and what was wrong with the others.
+
+    t (N,) s; accel (N, 3) m/s^2 and gyro (N, 3) rad/s, axes s, which the caller gives away.
+    """
+    unreadable = np.empty(t.size, dtype=np.bool_)
+    for part in pieces(t.size):
+        unreadable[part] = ~np.isfinite(t[part])
+        for axis in range(SENSOR_AXES):
+            unreadable[part] |= ~np.isfinite(accel[part, axis]) | ~np.isfinite(gyro[part, axis])
+        release(t, accel, gyro)
+    problems = []
+    if count := int(np.count_nonzero(unreadable)):
+        t, accel, gyro = t[~unreadable], accel[~unreadable], gyro[~unreadable]
+        text = f"{file}: {counted(count, 'row')} with an empty or unreadable value; dropped"
+        problems.append(Problem("imu_invalid", text, count))
+    ordered = in_time_order(t, accel, gyro, file=file, prefix="imu")
+    imu = RawImu(ordered.t, taken(accel, ordered.index), taken(gyro, ordered.index))
+    return imu, [*problems, *ordered.problems]
+
+
+def dead_axes(imu: RawImu) -> list[tuple[str, str]]:
+    """Sensor and letter of each axis that reads one and the same value throughout, which noise keeps live ones from."""
+    return [
+        (sensor, "xyz"[axis])
+        for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro))
+        for axis in _constant(values)
+    ]
+
+
+def _constant(values: Array) -> list[int]:
+    """Columns of (N, 3) samples that never change; of live ones no more than the first part is looked at."""
+    same = list(range(values.shape[1])) if len(values) > 1 else []
+    for part in pieces(len(values)):
+        same = [axis for axis in same if np.all(values[part, axis] == values[0, axis])]
+        release(values)
+        if not same:
+            break
+    return same
 
 
 def counts(r: Recording) -> Finding | None:
@@ -87,7 +130,6 @@ def _turning(gnss: GnssFixes, edges: Array) -> tuple[Array, BoolArray]:
 FROZEN, FEWEST_FROZEN = 1.0, 10  # s, and samples, for which three noisy values do not stay the same
 LEAST_BEND, MOST_FROZEN = 1.0, 0.5  # m in a second, of a path whose motion changes; share of all samples
 DRIVEN, LASTS = 2.0, 10.0  # m/s, for so many s: a kart that drives
-METRES_PER_DEGREE = 111_195.0
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 SAME_RATE = 0.02  # share; a clock or its digits may make 20 Hz a little less

@@ -1,10 +1,12 @@
-"""Checks of times: gaps, and what of a recording runs together."""
+"""Checks of what of a recording runs together: gaps, drives of several days, samples without fixes, wheel speed."""
 
 from functools import partial
 
 import numpy as np
 
-from smoother.samples import IMU_AFTER_FIXES, IMU_BEFORE_FIXES
+from smoother.arrays import Array, median
+from smoother.frames import Origin
+from smoother.samples import IMU_AFTER_FIXES, IMU_BEFORE_FIXES, GnssFixes
 from smoother.session.checks.table import Check, Finding
 from smoother.session.clock import are_fix_gaps
 from smoother.session.recorded import Recording
@@ -14,6 +16,9 @@ SLOWEST_FIXES = 20.0  # s from one to the next; a kart is somewhere else by then
 LONGEST_PAUSE = 8.0 * 3600.0  # s without a fix within one recording; heats of one day are nearer
 FEW_OUTSIDE = 0.01  # share of the fixes
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
+DRIVING = 3.0  # m/s by the fixes, from which on the two are compared
+FEWEST_DRIVING = 20  # fixes at speed
+LEAST_RATIO, LARGEST_RATIO = 0.7, 1.4  # of the wheel's speed over that of the fixes; km/h have 3.6, mph 2.2
 
 
 def gaps(r: Recording) -> Finding | None:
@@ -81,6 +86,46 @@ def unfixed(when: str, r: Recording) -> Finding | None:
     return Finding(text)
 
 
+def empty(r: Recording) -> Finding | None:
+    """A wheel speed of which no row was usable."""
+    assert r.wheel_speed is not None
+    return None if len(r.wheel_speed.t) else _unused(r, "no usable row; smoothed without wheel speed")
+
+
+def alone(r: Recording) -> Finding | None:
+    """A wheel speed without samples beside it."""
+    text = "not used; a wheel speed needs inertial samples beside it"
+    return _unused(r, text) if r.imu is None else None
+
+
+def unlike(r: Recording) -> Finding | None:
+    """A wheel speed that is in another unit, or of another vehicle."""
+    wheel, gnss, speed = r.wheel_speed, r.gnss, _speed(r.gnss)
+    assert wheel is not None
+    with np.errstate(invalid="ignore"):
+        driving = (speed > DRIVING) & (gnss.t > wheel.t[0]) & (gnss.t < wheel.t[-1])
+    if np.count_nonzero(driving) < FEWEST_DRIVING:
+        return None
+    ratio = median(np.interp(gnss.t[driving], wheel.t, wheel.speed) / speed[driving])
+    if LEAST_RATIO <= ratio <= LARGEST_RATIO:
+        return None
+    return _unused(r, f"the wheel is {ratio:.2f} times as fast as the fixes; not used. Is speed_mps in m/s?")
+
+
+def _unused(r: Recording, text: str) -> Finding:
+    assert r.wheel_speed is not None
+    return Finding(text, drop=np.ones(len(r.wheel_speed.t), dtype=np.bool_))
+
+
+def _speed(gnss: GnssFixes) -> Array:
+    """Speed (N,) m/s of the fixes: as measured, else by their distances."""
+    measured = np.hypot(gnss.velocity_n[:, 0], gnss.velocity_n[:, 1])
+    if np.isfinite(measured).any() or len(gnss) < 2:
+        return np.asarray(measured)
+    position_n = gnss.position_n(Origin(float(gnss.lat_deg[0]), float(gnss.lon_deg[0]), 0.0))
+    return np.asarray(np.hypot(*(np.gradient(position_n[:, i], gnss.t) for i in (0, 1))))
+
+
 GAPS = (
     Check("gps_too_slow", "fixes", (), too_rare),
     Check("gps_gap", "fixes", (), gaps),
@@ -91,4 +136,9 @@ TOGETHER = (
     Check("gps_outside_imu", "fixes", (), outside),
     Check(IMU_BEFORE_FIXES, "fixes", (), partial(unfixed, "before")),
     Check(IMU_AFTER_FIXES, "fixes", (), partial(unfixed, "after")),
+)
+WHEEL_CHECKS = (
+    Check("wheel_speed_empty", "wheel_speed", (), empty),
+    Check("wheel_speed_unused", "wheel_speed", (), alone),
+    Check("wheel_speed_unlike", "wheel_speed", (), unlike),
 )

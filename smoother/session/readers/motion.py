@@ -6,7 +6,7 @@ import numpy as np
 
 from smoother.arrays import Array, IntArray
 from smoother.samples import IMU_AXES_UNKNOWN, IMU_INCOMPLETE, Problem, RawImu
-from smoother.session.inertial import screen_imu
+from smoother.session.checks.imu import screen_imu
 from smoother.session.interpolated import FEW_BETWEEN, between_samples
 from smoother.session.readers.sheet import Sheet
 
