@@ -11,9 +11,7 @@ from smoother.arrays import Array, BoolArray, IntArray, runs_of
 
 DIGITS = 1.05  # of the last digit: rounding moves a row by half of one, and the line beside it by as much
 MANTISSA = 1e-15  # share; as finely as a float is written
-FARTHEST = 1e9  # roundings; more is nonsense, and would not add up
 MILLISECOND, MICROSECOND = 1e-3, 1e-6  # s
-EVEN = 1.1  # of a digit: stamps that are rounded to it lie no farther apart about the line through them
 FEWEST_KNOTS = 20  # that show how often they come
 SHORT_STEP = 10.0  # per cent of the steps between knots, that are no longer than to the next one
 REGULAR = 0.2  # of the period, by which a knot may be early or late
@@ -27,38 +25,26 @@ FEW_BETWEEN = 0.05  # share of samples that may lie between others by chance
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd steps are off any chord, or unknown
-def off_chord(t: Array, channels: Sequence[Array]) -> Array:
-    """How far (N,) rows are off the line between their neighbours, at most of channels (N,); 0 within rounding.
+def on_chord(t: Array, channels: Sequence[Array]) -> BoolArray:
+    """Mask (N,) of the rows that are, within rounding, on the line between their neighbours in all of channels (N,).
 
-    t (N,) s, increasing. In units of what rounding makes; 0 for the first and last row, and where a channel is unknown.
+    t (N,) s, increasing. The first and the last row are on none; where a channel is unknown, the others decide.
     """
-    off = np.zeros(t.size)
+    on = np.zeros(t.size, dtype=np.bool_)
     if t.size < 3:
-        return off
-    t, stamp = _moments(t)
+        return on
+    on[1:-1] = True
+    in_milliseconds = np.max(np.abs(t / MILLISECOND - np.round(t / MILLISECOND))) < 2.0 * MICROSECOND / MILLISECOND
+    early, late = np.percentile(np.diff(t), (5.0, 95.0))
+    stamp = 0.5 * MILLISECOND if in_milliseconds and late - early > 2.0 * MICROSECOND else MICROSECOND
     before, after = np.diff(t)[:-1], np.diff(t)[1:]
     for values in channels:
         if (digit := _digit(values)) > 0.0:
             rise, next_rise = np.diff(values)[:-1], np.diff(values)[1:]
             by = np.abs(rise * after - next_rise * before) / (before + after)
             rounding = DIGITS * digit + stamp * (np.abs(rise) / before + np.abs(next_rise) / after)
-            off[1:-1] = np.fmax(off[1:-1], np.where(by > rounding, np.minimum(by / rounding, FARTHEST), 0.0))
-    return off
-
-
-def _moments(t: Array) -> tuple[Array, float]:
-    """Return when rows stamped t (N,) s, rounded to milliseconds or finer, were made for, (N,) s, and how far off, s.
-
-    The rounding of evenly spaced rows is known and removed: at 7.5 Hz it comes back every third row, as fixes
-    between interpolated rows do.
-    """
-    in_milliseconds = np.max(np.abs(t / MILLISECOND - np.round(t / MILLISECOND))) < 2.0 * MICROSECOND / MILLISECOND
-    row = np.arange(t.size) - 0.5 * (t.size - 1)
-    even = np.mean(t) + row * (row @ t) / (row @ row)
-    if in_milliseconds and np.ptp(t - even) < EVEN * MILLISECOND:
-        return even, MICROSECOND
-    early, late = np.percentile(np.diff(t), (5.0, 95.0))
-    return t, 0.5 * MILLISECOND if in_milliseconds and late - early > 2.0 * MICROSECOND else MICROSECOND
+            on[1:-1] &= ~(by > rounding)
+    return on
 
 
 def _digit(values: Array) -> float:
@@ -113,7 +99,7 @@ def between_samples(t: Array, channels: Sequence[Array]) -> BoolArray:
     """
     change = np.any([np.diff(values) != 0.0 for values in channels], axis=0)
     changing = np.append(False, change) & np.append(change, False)
-    return np.asarray(changing & (off_chord(t, channels) == 0.0))
+    return np.asarray(changing & on_chord(t, channels))
 
 
 def on_drawn_lines(t: Array, channels: Sequence[Array], way: Array) -> BoolArray:
@@ -122,7 +108,7 @@ def on_drawn_lines(t: Array, channels: Sequence[Array], way: Array) -> BoolArray
     t (N,) s, increasing. channels (N,) : what of them is interpolated. way (N,) m : from the fix before. Fixes at rest
     are on a line too, and stay.
     """
-    on = (off_chord(t, channels) == 0.0) & (np.arange(t.size) > 0) & (np.arange(t.size) < t.size - 1)
+    on = on_chord(t, channels)
     drawn = np.zeros(t.size, dtype=np.bool_)
     for first, end in zip(*runs_of(on), strict=True):  # end : the next that is on no line
         is_long = t[end] - t[first - 1] >= LONGEST_LINE and end - first >= MOST_ON_LINE
