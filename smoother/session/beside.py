@@ -50,7 +50,7 @@ def read_mag(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[RawMag, list[
 def read_wheel_speed(path: Path, clock: SessionClock = ANY_CLOCK) -> tuple[WheelSpeed, list[Problem]]:
     """Read wheel_speed.csv: t_s, speed_mps. Rows may all be dropped: length 0.
 
-    A wheel that turns backwards is not told from a broken value. Raises SessionError as :func:`read_mag`.
+    A negative speed counts as a broken value. Raises SessionError as :func:`read_mag`.
     """
     rows, said = _read(path, ("speed_mps",), "wheel_speed", clock, WHEEL_CHECKS)
     return WheelSpeed(rows.t, rows.values[:, 0]), said

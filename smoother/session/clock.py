@@ -287,8 +287,8 @@ def _smooth(lag: Array, block: int, period: float) -> Array:
     bounds = np.linspace(0, lag.size, count + 1).round().astype(np.int64)
     means = _trimmed_means(lag, bounds)
     centres = 0.5 * (bounds[:-1] + bounds[1:] - 1)
-    made_up = np.abs(means - _running_median(means, LATE_BLOCKS)) > period
-    means, centres = means[~made_up], centres[~made_up]
+    late = np.abs(means - _running_median(means, LATE_BLOCKS)) > period
+    means, centres = means[~late], centres[~late]
     number = np.arange(lag.size)
     smooth = np.interp(number, centres, means)
     for ends, a, b in ((number < centres[0], 0, 1), (number > centres[-1], -1, -2)):

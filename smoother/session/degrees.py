@@ -1,4 +1,4 @@
-"""Positions that are not in degrees, or in the wrong columns: told by what is not on Earth, and by the velocities.
+"""Positions that are not in degrees, or in the wrong columns: recognised by places off the Earth, and by velocities.
 
 Nothing of a table is converted: a file of integers may count 1e-7 or 1e-6 of a degree, and a person knows which. What
 is likely is named with its remedy, in place of a smooth track in the wrong sea.
@@ -37,7 +37,7 @@ def require_degrees(file: str, c: FixColumns) -> None:
 def scale_by_way(c: FixColumns, scales: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
     """Which of `scales` of latitude and longitude makes the way of the positions that of the velocities.
 
-    None where it is as it stands, where none does, and where too few velocities tell.
+    None where it is as it stands, where none does, and where too few velocities are known.
     """
     c = c.take(_rows_with_position(c))
     ways = ways_of(c)

@@ -257,10 +257,10 @@ def _require_stored(file: Path) -> None:
     Read to its end, zeros of a hole would keep the computer busy for minutes, or fill its memory.
     """
     stat = file.stat()
-    stored = getattr(stat, "st_blocks", None)  # of 512 bytes; not every system tells it
+    stored = getattr(stat, "st_blocks", None)  # of 512 bytes; not every system has it
     if stat.st_size > LARGE and stored is not None and 512 * stored < STORED_SHARE * stat.st_size:
-        told = f"{stat.st_size / 1e9:.3g} GB long, of which {512 * stored / 1e6:.3g} MB were ever written"
-        raise SessionError(f"{file.name}: {told}; copy it from the card again")
+        size = f"{stat.st_size / 1e9:.3g} GB long, of which {512 * stored / 1e6:.3g} MB were ever written"
+        raise SessionError(f"{file.name}: {size}; copy it from the card again")
     if stat.st_size > LARGEST:
         raise SessionError(f"{file.name}: {stat.st_size / 1e9:.3g} GB long, more than any recording; is it one?")
 
@@ -365,7 +365,7 @@ def _role(path: Path) -> Role | None:
 
 
 def _table_role(path: Path) -> Role | None:
-    """The part of a table. Raises SessionError for the truth, which looks like fixes without an error, and for one that
+    """The part of a table. Raises SessionError for the truth, which has the columns of fixes, and for one that
     no reader knows: another recording beside it is not what was asked for.
     """
     if path.name.lower().startswith("truth.csv"):

@@ -5,7 +5,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
-from smoother.session.checks.fixes import MADE_UP, PATH_CHECKS, ROW_CHECKS
+from smoother.session.checks.fixes import INTERPOLATED, PATH_CHECKS, ROW_CHECKS
 from smoother.session.checks.table import run
 from smoother.session.fix_columns import ABSURD_SPEED, FixColumns, FixRows
 from smoother.session.rows import in_time_order
@@ -29,13 +29,17 @@ def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = Fal
 
 def interpolated_note(file: str, count: int) -> list[Problem]:
     """Say that a file has rows between its fixes."""
-    return [Problem("gps_interpolated", f"{file}: {MADE_UP}; {counted(count, 'row')} left out", count)] if count else []
+    return (
+        [Problem("gps_interpolated", f"{file}: {INTERPOLATED}; {counted(count, 'row')} left out", count)]
+        if count
+        else []
+    )
 
 
 def _to_fixes(c: FixColumns) -> GnssFixes:
     with np.errstate(invalid="ignore"):
         course = np.mod(c.course_deg, 360.0)
-        hdop = np.where((c.hdop > 0.0) & (c.hdop < 99.0), c.hdop, np.nan)  # 99.99 stands for unknown
+        hdop = np.where((c.hdop > 0.0) & (c.hdop < 99.0), c.hdop, np.nan)  # 99.99 means unknown
     return GnssFixes(
         t=c.t,
         lat_deg=c.lat_deg,

@@ -56,7 +56,7 @@ def is_recording(path: Path) -> bool:
     """Whether a file holds what a logger or another program recorded, or the truth of a simulation."""
     try:
         return path.is_file() and not is_export(path) and _is_read(path)
-    except (SessionError, OSError):  # it holds nothing that anybody could read
+    except (SessionError, OSError):  # it is unreadable
         return False
 
 

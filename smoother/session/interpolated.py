@@ -20,7 +20,7 @@ MOSTLY = 0.9  # of the knots come regularly; what bends by chance does not
 MORE_ROWS = 1.04  # rows for every knot; fewer are those of a receiver that missed some
 # s, rows and m of a straight line that is no kart's way: noise bends that of the fixes of any receiver
 LONGEST_LINE, MOST_ON_LINE, LONG_WAY = 2.0, 8, 20.0
-FEW_ON_LINE = 0.1  # share of the other fixes in motion that may be on the line beside them, where lines tell something
+FEW_ON_LINE = 0.1  # share of the other fixes in motion that may be on the line beside them, where lines show anything
 FEW_BETWEEN = 0.05  # share of samples that may lie between others by chance
 
 
@@ -114,5 +114,5 @@ def on_drawn_lines(t: Array, channels: Sequence[Array], way: Array) -> BoolArray
         is_long = t[end] - t[first - 1] >= LONGEST_LINE and end - first >= MOST_ON_LINE
         drawn[first:end] = is_long and np.sum(way[first : end + 1]) >= LONG_WAY
     others = ~drawn & (way > 0.0)
-    tells = np.count_nonzero(others) >= FEWEST_KNOTS and np.mean(on[others]) <= FEW_ON_LINE
-    return drawn if tells else np.zeros(t.size, dtype=np.bool_)
+    is_clear = np.count_nonzero(others) >= FEWEST_KNOTS and np.mean(on[others]) <= FEW_ON_LINE
+    return drawn if is_clear else np.zeros(t.size, dtype=np.bool_)

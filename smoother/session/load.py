@@ -122,7 +122,7 @@ def recording_on_card(file: Path) -> LogFiles | None:
     """Return the one of several drives on a card that a file belongs to; None where there are not several."""
     try:
         found = recordings(file.parent) if file.is_file() else []
-    except SessionError:  # what is wrong is said when the session is read
+    except SessionError:  # reported when the session is read
         found = []
     mine = (recording for recording in found if file.name in [path.name for path in recording.paths])
     return next(mine, None) if len(found) > 1 else None

@@ -65,7 +65,7 @@ _STOPS = {
 
 
 def describe(records: LogRecords, losses: Losses, file: str) -> list[Problem]:
-    """Return what is flawed about a recording, apart from the values in it."""
+    """Return the flaws of a recording, but for those of its values."""
     said = [*_of_losses(losses), *_of_gaps(records), *_of_events(records), *_of_end(records)]
     if records.setup is None:
         said.append(("log_setup_missing", "no record of the sensor's settings; taken as 16 g and 1000 deg/s", 1))

@@ -67,7 +67,7 @@ class _Queue:
     kind: npt.NDArray[np.uint8]
     t_us: IntArray
     length: IntArray
-    imu: IntArray  # samples of the IMU that a record stands for
+    imu: IntArray  # samples of the IMU that a record counts
     row: IntArray
 
 

@@ -23,8 +23,8 @@ class Recording:
     imu_file: str = ""
     mag: RawMag | None = None
     mag_calibration_field: Array | None = None
-    unix_at_zero: float | None = None  # where the file tells it, but not with each fix
-    imu_delay: float | None = None  # s, of the low-pass before the sampling, where the file tells it; it is taken off
+    unix_at_zero: float | None = None  # where the file has it, but not with each fix
+    imu_delay: float | None = None  # s, of the low-pass before the sampling, where the file has it; corrected
     wheel_speed: WheelSpeed | None = None
     channels: tuple[Channel, ...] = ()
 

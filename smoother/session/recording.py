@@ -66,7 +66,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
         problems=tuple(problems),
-        unix_at_zero=recording.unix_at_zero if (told := gnss.unix_at_zero) is None else told,
+        unix_at_zero=recording.unix_at_zero if (by_fixes := gnss.unix_at_zero) is None else by_fixes,
     )
 
 

@@ -23,7 +23,7 @@ STRAY_GAP = 600.0  # s; see _stray_ends
 LATEST = 1e10  # s; even seconds since 1970 are fewer
 LONGEST_GAP = 86400.0  # s; a few rows further from the others are of no recording
 
-Values = Sequence[npt.NDArray[Any]]  # columns, each (N,) or (N, M), that tell rows of one time apart
+Values = Sequence[npt.NDArray[Any]]  # columns, each (N,) or (N, M), by which rows of one time differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Ordered:
     problems: list[Problem]
 
 
-class _Said:
+class _Sentences:
     """Sentences about the rows of one file."""
 
     def __init__(self, file: str, prefix: str) -> None:
@@ -60,7 +60,7 @@ def in_time_order(t: Array, *values: npt.NDArray[Any], file: str, prefix: str) -
         time = t.view()
         time.flags.writeable = False
         return Ordered(time, _all_of(t.size), [])
-    said = _Said(file, prefix)
+    said = _Sentences(file, prefix)
     index = np.flatnonzero(np.abs(t) <= LATEST)
     problems = said.dropped("absurd_time", t.size - index.size, "with a time beyond any clock")
     if index.size == 0:
@@ -153,7 +153,7 @@ def _patience(t: Array) -> IntArray:
     return np.array(chain[::-1], dtype=np.int64)
 
 
-def _sorted(said: _Said, t: Array, values: Values) -> tuple[IntArray, Array, list[Problem]]:
+def _sorted(said: _Sentences, t: Array, values: Values) -> tuple[IntArray, Array, list[Problem]]:
     """Rows (index and times) in which whatever is still out of order is a flaw of single rows."""
     every = np.arange(t.size)
     if np.count_nonzero(~longest_increasing(t[np.append(True, np.diff(t) != 0.0)])) <= _tolerated(t.size):
@@ -168,7 +168,7 @@ def _sorted(said: _Said, t: Array, values: Values) -> tuple[IntArray, Array, lis
     return rows, t[rows], said.dropped("clock_restart", t.size - rows.size, reason)
 
 
-def _sort_swapped(said: _Said, t: Array) -> tuple[IntArray, Array, list[Problem]]:
+def _sort_swapped(said: _Sentences, t: Array) -> tuple[IntArray, Array, list[Problem]]:
     """Rows (index and times) in which single rows that were written a few rows too late or too early are sorted in.
 
     The sorted position of such a row is a hole of the others: it is at least half a usual step away from each of them.
@@ -221,7 +221,7 @@ def _is_calm(t: Array) -> BoolArray:
 
 
 def _differ(order: IntArray, values: Values) -> BoolArray:
-    """Mask (N - 1,) of the rows, in this order, that are unlike the one before; all of them where nothing tells."""
+    """Mask (N - 1,) of the rows, in this order, that are unlike the one before; all of them without values."""
     differs = np.full(order.size - 1, fill_value=not values)
     for value in values:
         pairs = value[order[1:]], value[order[:-1]]

@@ -167,7 +167,7 @@ def _density(value: Any) -> float:
 
 
 def _within(low: float, high: float, text: str) -> Callable[[Any], float]:
-    """Conversion to a number from low to high; text : what else is said of it."""
+    """Conversion to a number from low to high; text : the bounds, for a message."""
 
     def convert(value: Any) -> float:
         number = _number(value)

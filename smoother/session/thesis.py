@@ -293,7 +293,7 @@ def _triple_starts(octets: npt.NDArray[np.uint8]) -> IntArray:
 def _typical_size(octets: npt.NDArray[np.uint8], starts: IntArray) -> float:
     """Median magnitude of the counts. Read one byte off, low bytes become high ones and the values huge.
 
-    It tells one start byte followed by a value that begins with another from two start bytes, also in a cut file.
+    So one start byte before a value that begins with another is known from two start bytes, also in a cut file.
     """
     return float(np.median(np.abs(_field(octets.tobytes(), starts)))) if starts.size else np.inf
 

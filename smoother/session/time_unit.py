@@ -66,7 +66,7 @@ def in_seconds(t: Array, unit: str | None, prefix: str, file: str) -> tuple[Arra
 
 
 def _are_whole_seconds(t: Array, period: float) -> bool:
-    """Whether times t (N,), a second apart where they differ, are those of samples that share them; none do in ms."""
+    """Whether times t (N,) with steps of a second are those of samples that share them; none do in ms."""
     return period == LONGEST_PERIOD and bool(np.mean(np.diff(t[:ENOUGH_ROWS]) == 0.0) > SHARED)
 
 

@@ -341,7 +341,7 @@ def test_midnight_and_zones(tmp_path: Path) -> None:
 
 def test_an_unknown_zone_is_reported(tmp_path: Path) -> None:
     (said,) = [p.text for p in read(tmp_path, text_of("afternoon")).problems if p.code == "gps_date_assumed"]
-    assert said == "session.csv: it does not say in which zone its times of day are; taken as UTC"
+    assert said == "session.csv: its times of day have no zone; taken as UTC"
 
 
 def test_a_table_called_gps_csv_is_read_by_its_names_where_no_samples_lie_beside_it(tmp_path: Path) -> None:

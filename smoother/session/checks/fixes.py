@@ -20,7 +20,7 @@ STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no har
 STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
 ROUNDING = 1e-4  # m; steps below come from the conversion
 JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
-MADE_UP = "positions between fixes were interpolated along straight lines by exporter or receiver"
+INTERPOLATED = "positions between fixes were interpolated along straight lines by exporter or receiver"
 
 
 def _searching(c: FixColumns) -> BoolArray:
@@ -136,7 +136,7 @@ def _speed_from_positions(t: Array, north: Array, east: Array) -> Array:
 
 
 def _resolution(north: Array, east: Array, moved: Array) -> float:
-    """Smallest step (m) the positions make; moved (N,) m is what the speed says of each interval.
+    """Smallest step (m) the positions make; moved (N,) m : way of each interval by the speed.
 
     Steps that are mostly alike and as long as the speed says come from a steady motion and not from a coarse grid.
     """

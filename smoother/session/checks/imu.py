@@ -97,7 +97,7 @@ def _size_of_counts(imu: RawImu) -> float | None:
 
 
 def _gain(imu: RawImu, gnss: GnssFixes) -> float | None:
-    """How many rad/s of the path one count is; None where too little turning tells."""
+    """How many rad/s of the path one count is; None where the path turns too little."""
     begin, end = max(imu.t[0], gnss.t[0]), min(imu.t[-1], gnss.t[-1])
     edges = np.arange(begin, end, WINDOW)
     if edges.size < FEWEST_WINDOWS:

@@ -1,6 +1,6 @@
 """The type of a check, what it may find, and the one loop that runs a table of checks.
 
-A check looks at streams and returns a finding or None. The loop says what was found and applies it; a check changes
+A check looks at streams and returns a finding or None. The loop reports what was found and applies it; a check changes
 nothing itself, and the next one sees what the one before has left.
 """
 
@@ -36,7 +36,7 @@ D = TypeVar("D")
 class Finding:
     """What a check found in a stream of N rows: one sentence for people, and at most one change.
 
-    text : completes '<file>: ..' with what, where, how many and what to do; nothing is said where it is empty.
+    text : completes '<file>: ..' with what, where, how many and what to do; an empty one is not reported.
     drop : mask (N,) of rows that are not used. blank : columns, and masks (N,) of where they are unknown. scale :
     columns, and factors. shift : columns, and what is added to them, a number or (N,). swap : two columns that change
     places.

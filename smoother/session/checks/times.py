@@ -37,7 +37,7 @@ def too_rare(r: Recording) -> Finding | None:
     return Finding(f"a fix only every {usual:.0f} s; is t_s in seconds?") if usual > SLOWEST_FIXES else None
 
 
-def apart(r: Recording) -> Finding | None:
+def several_drives(r: Recording) -> Finding | None:
     """Drives of several days: the one with most fixes is used. A trajectory of the night between says nothing."""
     t = r.gnss.t
     cuts = np.flatnonzero(np.diff(t) > LONGEST_PAUSE) + 1
@@ -53,7 +53,7 @@ def apart(r: Recording) -> Finding | None:
     return Finding(f"{text}, {counted(count, 'fix')} of the others left out. Split the files at {at}", count, drop=lost)
 
 
-def rows_apart(stream: str, r: Recording) -> Finding | None:
+def rows_of_other_drives(stream: str, r: Recording) -> Finding | None:
     """Rows of those other drives, of which the fixes are left out."""
     t, first, last = r.stream(stream).t, r.gnss.t[0], r.gnss.t[-1]
     if len(t) == 0 or (t[0] > first - LONGEST_PAUSE and t[-1] < last + LONGEST_PAUSE):
@@ -129,8 +129,11 @@ def _speed(gnss: GnssFixes) -> Array:
 GAPS = (
     Check("gps_too_slow", "fixes", (), too_rare),
     Check("gps_gap", "fixes", (), gaps),
-    Check("recordings_apart", "fixes", (), apart),
-    *(Check("recordings_apart", stream, (), partial(rows_apart, stream)) for stream in ("imu", "mag", "wheel_speed")),
+    Check("recordings_apart", "fixes", (), several_drives),
+    *(
+        Check("recordings_apart", stream, (), partial(rows_of_other_drives, stream))
+        for stream in ("imu", "mag", "wheel_speed")
+    ),
 )
 TOGETHER = (
     Check("gps_outside_imu", "fixes", (), outside),

@@ -74,11 +74,11 @@ def _reason(kind: Kind, code: int) -> str:
 def _stored(path: Path, file: str) -> list[Sheet]:
     """The sheets that a child stored. Raises SessionError where it stored why there are none."""
     with np.load(path, allow_pickle=False) as arrays:
-        told = json.loads(str(arrays["told"]))
-        if "error" in told:
-            raise SessionError(f"{file}: {told['error']}")
+        contents = json.loads(str(arrays["contents"]))
+        if "error" in contents:
+            raise SessionError(f"{file}: {contents['error']}")
         sheets = []
-        for i, sheet in enumerate(told["sheets"]):
+        for i, sheet in enumerate(contents["sheets"]):
             values = arrays[f"sheet{i}"]
             columns = [Column(name, values[k], unit) for k, (name, unit) in enumerate(sheet["columns"])]
             sheets.append(sheet_of(file, columns, sensor=sheet["sensor"], about=sheet["about"]))
@@ -86,12 +86,12 @@ def _stored(path: Path, file: str) -> list[Sheet]:
 
 
 def _store(path: Path, sheets: Sequence[Sheet]) -> None:
-    told = [
+    contents = [
         {"columns": [(c.name, c.unit) for c in sheet.columns], "sensor": sheet.sensor, "about": sheet.about}
         for sheet in sheets
     ]
     arrays = {f"sheet{i}": np.stack([c.values for c in sheet.columns]) for i, sheet in enumerate(sheets)}
-    np.savez(path, told=np.array(json.dumps({"sheets": told})), **arrays)  # type: ignore[arg-type]
+    np.savez(path, contents=np.array(json.dumps({"sheets": contents})), **arrays)  # type: ignore[arg-type]
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -109,10 +109,10 @@ def main(arguments: Sequence[str]) -> int:
     try:
         _store(Path(out), read([Path(file) for file in files]))
     except SessionError as error:
-        np.savez(Path(out), told=np.array(json.dumps({"error": str(error)})))
-    except Exception as error:  # whatever a library raises at a damaged file; a crash is said by the parent
+        np.savez(Path(out), contents=np.array(json.dumps({"error": str(error)})))
+    except Exception as error:  # whatever a library raises at a damaged file; a crash is reported by the parent
         text = " ".join(str(error).split())[:120] or type(error).__name__
-        np.savez(Path(out), told=np.array(json.dumps({"error": f"{KINDS[kind].library} cannot read it ({text})"})))
+        np.savez(Path(out), contents=np.array(json.dumps({"error": f"{KINDS[kind].library} cannot read it ({text})"})))
     return 0
 
 

@@ -21,7 +21,7 @@ SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
 class ForeignReading:
     """What a file of another program holds. `imu` only where it has all six inertial channels.
 
-    unix_at_zero : UTC at t = 0 where the file tells it, but not with each fix.
+    unix_at_zero : UTC at t = 0 where the file has it, but not with each fix.
     """
 
     gnss: GnssFixes
@@ -77,7 +77,7 @@ def _require_sane_times(file: str, t: Array) -> None:
 
 
 def speed_unit_note(file: str, unit: str, otherwise: str) -> list[Problem]:
-    """Say that a file does not tell the unit of its speeds, which `factor` then assumes."""
+    """Report that the unit of speeds is not in a file, and which one is assumed."""
     if unit.strip().lower() in SPEED_UNITS:
         return []
     said = (

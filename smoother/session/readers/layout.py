@@ -98,7 +98,7 @@ def _with_rows(layout: Layout, lines: Sequence[str]) -> Layout | None:
     """The layout with units and sources below the names, if they are there; None where what follows is no such row.
 
     A separator at the end of the names only, or of the rows only, is no column. Rows that are cut or overwritten are
-    passed over, as those further down are: the first that is whole tells.
+    passed over, as those further down are: the first that is whole decides.
     """
     below = [i for i in range(layout.lines, len(lines)) if lines[i].strip() and not lines[i].startswith(COMMENT)]
     number = len(layout.names)
@@ -205,7 +205,7 @@ def is_of_another_program(path: Path) -> bool:
         return False
     try:
         names, known = _names_of_unknown(path)
-    except SessionError:  # it is not what anybody asked for
+    except SessionError:
         return False
     is_likely = known >= set(PLACES) or (bool(known & CLOCKS) and len(names) >= FEWEST_COLUMNS)
     return is_likely and not set(names) & set(OWN_NAMES)

@@ -12,7 +12,7 @@ from smoother.units import DEG, FOOT, KMH, KNOT, MPH, STANDARD_GRAVITY
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 _SOURCE = re.compile(r"\*\s*(\w+)\s*$")
 _NO_LETTER = re.compile(r"[\W_]")
-MADE_UP = ("calc", "obd")  # sources that are no receiver and no sensor of motion
+COMPUTED = ("calc", "obd")  # sources that are no receiver and no sensor of motion
 WORDS: dict[str, tuple[str, ...]] = {  # quantity: letters and digits of its names, the best first
     "latitude": (
         *("gpslatitude", "gpslat", "latitude", "lat", "positionlat", "latitudens", "latitud", "latitudine"),
@@ -168,7 +168,7 @@ def meaning_of(name: str, unit: str = "", sensor: str = "") -> Meaning | None:
     """
     text = name.strip(' "').lower()
     if (source := _SOURCE.search(text)) is not None:
-        if source[1] in MADE_UP:
+        if source[1] in COMPUTED:
             return None
         text = text[: source.start()].strip()
     brackets = _BRACKETS.search(text)

@@ -10,7 +10,7 @@ from smoother.arrays import Array
 from smoother.samples import Problem
 from smoother.session.readers.names import UNITS, Meaning, meaning_of
 
-MADE_UP = ("calc", "obd", "canbus", "can")  # sources that are no receiver and no sensor of motion
+OTHER_SOURCES = ("calc", "obd", "canbus", "can")  # sources that are no receiver and no sensor of motion
 OF_RECEIVER, OF_FORCES, OF_RATES = "gps", "acc", "gyro"  # what sources are called
 
 
@@ -33,7 +33,7 @@ class Column:
         meaning = meaning_of(self.name, self.unit, sensor)
         if meaning is None or OF_RECEIVER in self.source or not self.source:
             return meaning
-        if any(word in self.source for word in MADE_UP):
+        if any(word in self.source for word in OTHER_SOURCES):
             return replace(meaning, rank=meaning.rank + 200)  # better than none, as in files of this program
         return replace(meaning, rank=meaning.rank + (0 if _fits(self.source, meaning.quantity) else 100))
 
@@ -79,7 +79,7 @@ class Sheet:
         return meaning.unit.strip().lower()
 
     def value(self, quantity: str, usual: str = "") -> Array:
-        """The best column (N,) of a quantity in SI, angles in deg; NaN without one. usual : unit, if none is said."""
+        """The best column (N,) of a quantity in SI, angles in deg; NaN without one. usual : unit, if none is written."""
         column = self.column(quantity)
         if column is None:
             return np.full(self.length, np.nan)

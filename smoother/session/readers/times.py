@@ -49,7 +49,7 @@ _OFFSET = re.compile(r"(?i)^(?:utc|gmt|z)?\s*([+-])(\d{1,2}):?(\d{2})?$")
 
 
 def day_of(text: str) -> dt.date | None:
-    """The day of a date in words or in numbers, None where the order of day and month is anybody's guess."""
+    """The day of a date in words or in numbers, None where the order of day and month is ambiguous."""
     text = "".join(c for c in unicodedata.normalize("NFKD", text.lower()) if not unicodedata.combining(c))
     for pattern in _NAMED:
         for match in pattern.finditer(text):
@@ -148,7 +148,7 @@ class Moments:
 
 
 def read_moments(cells: pl.Series, unit: str) -> Moments | None:
-    """Return the times that a column of text says, None where it says none. unit : of its numbers, "" if not known,
+    """Return the times in a column of text, None without any. unit : of its numbers, "" if not known,
     or the zone of its times of day.
     """
     numbers = numbers_of(cells).values
@@ -174,7 +174,7 @@ def _elapsed(cells: pl.Series, filled: int) -> Moments | None:
 
 
 def read_days(cells: pl.Series) -> Array:
-    """Midnight (N,), s since 1970, of the days that a column of text says, NaN where it says none."""
+    """Midnight (N,), s since 1970, of the days in a column of text, NaN without one."""
     days = _of_text(cells)[2]
     if np.isfinite(days).any():
         return days
@@ -245,7 +245,7 @@ def spread_evenly(seconds: Array) -> tuple[Array, int]:
 
 
 def put_together(columns: Sequence[Moments], days: Array | None) -> tuple[Moments, Moments | None]:
-    """The clock of the rows, the finest of `columns`, one or more; and UTC, from whichever tells the date.
+    """The clock of the rows, the finest of `columns`, one or more; and UTC, from whichever has the date.
 
     days (N,) : midnight of each row's day, s since 1970, for times of day.
     """
@@ -265,8 +265,8 @@ def time_of_day(clock: Array) -> Array:
 
 
 def zone_note(file: str) -> Problem:
-    """Say that a file does not tell in which zone its times are."""
-    return Problem("gps_date_assumed", f"{file}: it does not say in which zone its times of day are; taken as UTC")
+    """Report that a file does not give the zone of its times."""
+    return Problem("gps_date_assumed", f"{file}: its times of day have no zone; taken as UTC")
 
 
 def moments_of_numbers(numbers: Array, unit: str) -> Moments:

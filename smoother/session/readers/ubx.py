@@ -1,7 +1,7 @@
 """UBX, the binary messages of u-blox receivers, as loggers store them, read by pyubx2: fixes with their velocities.
 
 A file is a stream of messages of every kind, maybe damaged; each that is wanted is found by its first bytes, so that a
-damaged length costs one message, and believed if its checksum is right. Those of one time of the week are one fix.
+damaged length costs one message, and used if its checksum is right. Those of one time of the week are one fix.
 """
 
 import datetime as dt
