@@ -79,7 +79,7 @@ class Sheet:
         return meaning.unit.strip().lower()
 
     def value(self, quantity: str, usual: str = "") -> Array:
-        """The best column (N,) of a quantity in SI, angles in deg; NaN without one. usual : unit, if none is written."""
+        """The best column (N,) of a quantity in SI, angles in deg; NaN without one. usual : unit if none is written."""
         column = self.column(quantity)
         if column is None:
             return np.full(self.length, np.nan)
