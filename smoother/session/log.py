@@ -16,35 +16,25 @@ from smoother.arrays import Array, IntArray
 from smoother.disc import contents, kept, pieces, release, roomy
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.session import log_format as form
 from smoother.session.log_decode import Blocks, Losses, decode, find_blocks
-from smoother.session.log_format import (
-    EVENTS,
-    GAP_NO_ROOM,
-    GAP_SENSOR,
-    GAP_SERIAL,
-    GPS,
-    IMU,
-    MAG,
-    MAG_OVERFLOW,
-    PURPOSE_MAG_CALIBRATION,
-    STOP_CARD_FULL,
-    STOP_FAULT,
-    STOP_SUPPLY_LOW,
-    TEMPERATURE,
-    LogRecords,
-    Setup,
-)
+from smoother.session.log_format import LogRecords, Setup
 from smoother.session.nmea import fixes_from_sentences
 from smoother.session.rows import in_time_order, is_all
 from smoother.session.text import unreadable
 from smoother.units import DEG, MICROSECOND, STANDARD_GRAVITY
 from smoother.words import counted, span
 
-_NOUNS = {IMU: "IMU sample", MAG: "compass reading", TEMPERATURE: "temperature", GPS: "GPS sentence"}
+_NOUNS = {
+    form.IMU: "IMU sample",
+    form.MAG: "compass reading",
+    form.TEMPERATURE: "temperature",
+    form.GPS: "GPS sentence",
+}
 _REASONS = {
-    GAP_NO_ROOM: ("log_card_stalled", "lost because the card did not take them in time"),
-    GAP_SENSOR: ("log_sensor_late", "lost because the sensor was not read in time"),
-    GAP_SERIAL: ("log_serial_lost", "lost on the line to the GPS"),
+    form.GAP_NO_ROOM: ("log_card_stalled", "lost because the card did not take them in time"),
+    form.GAP_SENSOR: ("log_sensor_late", "lost because the sensor was not read in time"),
+    form.GAP_SERIAL: ("log_serial_lost", "lost on the line to the GPS"),
 }
 _EVENTS = {
     "CARD_LOST": "the card was away {} times",
@@ -58,9 +48,9 @@ _EVENTS = {
     "WATCHDOG": "the logger was restarted by its watchdog {} times",
 }
 _STOPS = {
-    STOP_CARD_FULL: "the recording ended because the card was full",
-    STOP_SUPPLY_LOW: "the recording ended because the supply was low",
-    STOP_FAULT: "the recording ended because of a fault",
+    form.STOP_CARD_FULL: "the recording ended because the card was full",
+    form.STOP_SUPPLY_LOW: "the recording ended because the supply was low",
+    form.STOP_FAULT: "the recording ended because of a fault",
 }
 
 
@@ -97,7 +87,7 @@ def _of_gaps(records: LogRecords) -> Iterator[tuple[str, str, int]]:
 
 
 def _of_events(records: LogRecords) -> Iterator[tuple[str, str, int]]:
-    counts = Counter(EVENTS.get(event.code, "") for event in records.events)
+    counts = Counter(form.EVENTS.get(event.code, "") for event in records.events)
     for name, text in _EVENTS.items():
         if counts[name]:
             yield f"log_{name.lower()}", text.format(counts[name]), counts[name]
@@ -135,7 +125,7 @@ class LogFiles:
     @property
     def is_calibration(self) -> bool:
         """Whether the box was turned in all directions, to calibrate the magnetometer."""
-        return self.setup is not None and self.setup.purpose == PURPOSE_MAG_CALIBRATION
+        return self.setup is not None and self.setup.purpose == form.PURPOSE_MAG_CALIBRATION
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +289,7 @@ def _temperature(records: LogRecords, t: Array) -> Array | None:
 
 def mag_samples(records: LogRecords, file: str) -> tuple[RawMag | None, list[Problem]]:
     """Return the magnetic field in uT and axes s, without readings that overflowed; None without any."""
-    whole = np.flatnonzero((records.mag_flags & MAG_OVERFLOW) == 0)
+    whole = np.flatnonzero((records.mag_flags & form.MAG_OVERFLOW) == 0)
     field, lost = records.mag[whole], records.mag_t.size - whole.size
     ordered = in_time_order(seconds(records.mag_t)[whole], field, file=file, prefix="mag")
     text = f"{file}: {counted(lost, 'row')} of the magnetometer beyond its range; dropped"

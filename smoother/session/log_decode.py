@@ -17,38 +17,8 @@ import numpy.typing as npt
 
 from smoother.arrays import IntArray
 from smoother.disc import Growing, pieces, release, roomy
-from smoother.session.log_format import (
-    BLOCK_BYTES,
-    CAPACITY,
-    CONFIG,
-    CONFIG_STRUCT,
-    CRC_AT,
-    EVENT,
-    EVENT_STRUCT,
-    FIRST_LONG,
-    GAP,
-    GAP_STRUCT,
-    GPS,
-    HEAD_LAYOUT,
-    IMU,
-    LONG_LAYOUT,
-    MAG,
-    MAGIC,
-    RECORDS_AT,
-    SELF_TEST,
-    SELF_TEST_STRUCT,
-    SETUP,
-    SHORT_LAYOUTS,
-    STOP,
-    STOP_STRUCT,
-    TEMPERATURE,
-    Event,
-    Gap,
-    LogRecords,
-    SelfTest,
-    Setup,
-    Stop,
-)
+from smoother.session import log_format as form
+from smoother.session.log_format import Event, Gap, LogRecords, SelfTest, Setup, Stop
 
 SENTENCES_TOGETHER = 1 << 14  # sentences that are extracted together
 
@@ -118,9 +88,9 @@ class Blocks:
     @staticmethod
     def of(content: Bytes) -> "Blocks":
         """Wrap blocks (K, 512) whose CRC is right."""
-        head = np.empty(len(content), dtype=HEAD_LAYOUT)
+        head = np.empty(len(content), dtype=form.HEAD_LAYOUT)
         for part in pieces(len(content), TOGETHER):
-            head[part] = np.ascontiguousarray(content[part, :RECORDS_AT]).view(HEAD_LAYOUT)[:, 0]
+            head[part] = np.ascontiguousarray(content[part, : form.RECORDS_AT]).view(form.HEAD_LAYOUT)[:, 0]
             release(content)
         base = head["base_low"].astype(np.int64) + (head["base_high"].astype(np.int64) << 32)
         return Blocks(content, head, base)
@@ -148,40 +118,40 @@ class Losses:
 def find_blocks(data: bytes | mmap) -> tuple[Blocks, int]:
     """Return the blocks in `data` that are whole, wherever they begin, and how many damaged ones show their magic."""
     positions, damaged, view = array("q"), 0, memoryview(data)
-    at = data.find(MAGIC, 0)
+    at = data.find(form.MAGIC, 0)
     while at >= 0:
         if _is_whole(view, at):
             positions.append(at)
-            at += BLOCK_BYTES
+            at += form.BLOCK_BYTES
         else:
             damaged += 1
             at += 1
         if len(positions) % TOGETHER == 0:
             release(data)
-        at = data.find(MAGIC, at)
+        at = data.find(form.MAGIC, at)
     return Blocks.of(_blocks_at(np.frombuffer(data, dtype=np.uint8), np.frombuffer(positions, dtype=np.int64))), damaged
 
 
 def _is_whole(view: memoryview, at: int) -> bool:
-    block = view[at : at + BLOCK_BYTES]
-    if len(block) < BLOCK_BYTES or int.from_bytes(block[18:20], "little") > CAPACITY:
+    block = view[at : at + form.BLOCK_BYTES]
+    if len(block) < form.BLOCK_BYTES or int.from_bytes(block[18:20], "little") > form.CAPACITY:
         return False
-    return zlib.crc32(block[:CRC_AT]) == int.from_bytes(block[CRC_AT:], "little")
+    return zlib.crc32(block[: form.CRC_AT]) == int.from_bytes(block[form.CRC_AT :], "little")
 
 
 def _blocks_at(octets: Bytes, positions: IntArray) -> Bytes:
     """Blocks (K, 512): the bytes of the file themselves where no damage lies between, to spare a day of them a copy."""
     if positions.size == 0:
-        return np.zeros((0, BLOCK_BYTES), dtype=np.uint8)
-    start, end = positions[0], positions[-1] + BLOCK_BYTES
-    if end - start == positions.size * BLOCK_BYTES:
-        return octets[start:end].reshape(-1, BLOCK_BYTES)
-    return _rows(np.lib.stride_tricks.sliding_window_view(octets, BLOCK_BYTES), positions)
+        return np.zeros((0, form.BLOCK_BYTES), dtype=np.uint8)
+    start, end = positions[0], positions[-1] + form.BLOCK_BYTES
+    if end - start == positions.size * form.BLOCK_BYTES:
+        return octets[start:end].reshape(-1, form.BLOCK_BYTES)
+    return _rows(np.lib.stride_tricks.sliding_window_view(octets, form.BLOCK_BYTES), positions)
 
 
 def _rows(content: Bytes, index: IntArray) -> Bytes:
     """Rows `index` (K,) of blocks (N, 512), on the disc where they are many."""
-    out = roomy((len(index), BLOCK_BYTES), np.uint8)
+    out = roomy((len(index), form.BLOCK_BYTES), np.uint8)
     for part in pieces(len(index), TOGETHER):
         out[part] = content[index[part]]
         release(out, content)
@@ -200,7 +170,7 @@ def decode(blocks: Blocks) -> tuple[LogRecords, Losses]:
     """Return the records of one recording, and what it lacks. The blocks may come in any order."""
     blocks, duplicates = in_sequence(blocks)
     short = {name: Growing(width, dtype) for name, (width, dtype) in _SHORT_COLUMNS.items()}
-    long: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(GAP, STOP + 1)}
+    long: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(form.GAP, form.STOP + 1)}
     sentences, in_block, unreadable = Sentences(), [], 0
     for some in [*pieces(len(blocks), TOGETHER)] or [slice(0)]:
         part = _decode_some(blocks.select(some))
@@ -208,7 +178,7 @@ def decode(blocks: Blocks) -> tuple[LogRecords, Losses]:
             short[name].add(rows)
         for kind, records in long.items():
             records += part.long[kind]
-        sentences.extend(part.long[GPS])
+        sentences.extend(part.long[form.GPS])
         in_block.append(part.imu_in_block)
         unreadable += part.unreadable
     release(blocks)
@@ -247,21 +217,23 @@ def _decode_some(blocks: Blocks) -> _Part:
     octets = blocks.content.reshape(-1)
     position, unreadable = walk(blocks)
     kind = octets[position]
-    long = position[kind >= FIRST_LONG]
+    long = position[kind >= form.FIRST_LONG]
     short: dict[str, npt.NDArray[Any]] = {}
-    for name, layout in (("imu", IMU), ("mag", MAG), ("temperature", TEMPERATURE)):
+    for name, layout in (("imu", form.IMU), ("mag", form.MAG), ("temperature", form.TEMPERATURE)):
         rows, short[f"{name}_t"] = _short_records(octets, blocks.base_us, position[kind == layout], layout)
         short[name] = np.ascontiguousarray(rows["counts"])
-        if layout == MAG:
+        if layout == form.MAG:
             short["mag_flags"] = np.ascontiguousarray(rows["flags"])
-    imu_in_block = np.bincount(position[kind == IMU] // BLOCK_BYTES, minlength=len(blocks))
+    imu_in_block = np.bincount(position[kind == form.IMU] // form.BLOCK_BYTES, minlength=len(blocks))
     imu_in_block += _imu_gaps(octets, long, len(blocks))
     part = _Part(short, _long_by_type(octets, blocks.base_us, long), imu_in_block, unreadable)
     release(blocks.content)
     return part
 
 
-_SHORT_LENGTH = np.array([SHORT_LAYOUTS[kind].itemsize if kind in SHORT_LAYOUTS else 0 for kind in range(256)])
+_SHORT_LENGTH = np.array(
+    [form.SHORT_LAYOUTS[kind].itemsize if kind in form.SHORT_LAYOUTS else 0 for kind in range(256)]
+)
 
 
 def walk(blocks: Blocks) -> tuple[IntArray, int]:
@@ -271,15 +243,15 @@ def walk(blocks: Blocks) -> tuple[IntArray, int]:
     rest.
     """
     octets = blocks.content.reshape(-1)
-    start = np.arange(len(blocks), dtype=np.int64) * BLOCK_BYTES + RECORDS_AT
+    start = np.arange(len(blocks), dtype=np.int64) * form.BLOCK_BYTES + form.RECORDS_AT
     end = start + blocks.head["used"]
     at, end = start[end > start], end[end > start]
     found, unreadable = [], 0
     while at.size:
         kind = octets[at]
         length = _SHORT_LENGTH[kind]
-        long = np.flatnonzero(kind >= FIRST_LONG)
-        length[long] = LONG_LAYOUT.itemsize + octets[at[long] + 1].astype(np.int64)
+        long = np.flatnonzero(kind >= form.FIRST_LONG)
+        length[long] = form.LONG_LAYOUT.itemsize + octets[at[long] + 1].astype(np.int64)
         good = (length > 0) & (at + length <= end)
         unreadable += int(np.count_nonzero(~good))
         found.append(at[good])
@@ -301,33 +273,33 @@ def _layout_at(octets: Bytes, position: IntArray, layout: np.dtype[np.void]) -> 
 def _short_records(
     octets: Bytes, base_us: IntArray, position: IntArray, kind: int
 ) -> tuple[npt.NDArray[np.void], IntArray]:
-    rows = _layout_at(octets, position, SHORT_LAYOUTS[kind])
-    return rows, base_us[position // BLOCK_BYTES] + rows["since"]
+    rows = _layout_at(octets, position, form.SHORT_LAYOUTS[kind])
+    return rows, base_us[position // form.BLOCK_BYTES] + rows["since"]
 
 
 def _long_by_type(octets: Bytes, base_us: IntArray, position: IntArray) -> dict[int, list[tuple[int, bytes]]]:
     """Time and content of the long records."""
-    head = _layout_at(octets, position, LONG_LAYOUT)
-    times = (base_us[position // BLOCK_BYTES] + head["since"]).tolist()
-    of_kind: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(GPS, STOP + 1)}
+    head = _layout_at(octets, position, form.LONG_LAYOUT)
+    times = (base_us[position // form.BLOCK_BYTES] + head["since"]).tolist()
+    of_kind: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(form.GPS, form.STOP + 1)}
     for kind, length, t_us, at in zip(
         head["type"].tolist(), head["length"].tolist(), times, position.tolist(), strict=True
     ):
         if kind in of_kind:
-            start = at + LONG_LAYOUT.itemsize
+            start = at + form.LONG_LAYOUT.itemsize
             of_kind[kind].append((t_us, octets[start : start + length].tobytes()))
     return of_kind
 
 
 def _long_records(of_kind: dict[int, list[tuple[int, bytes]]]) -> dict[str, object]:
     """The long records but sentences as fields of LogRecords."""
-    setups, stops = _whole(of_kind[SETUP], _setup), _whole(of_kind[STOP], _stop)
+    setups, stops = _whole(of_kind[form.SETUP], _setup), _whole(of_kind[form.STOP], _stop)
     return {
-        "gaps": tuple(_whole(of_kind[GAP], _gap)),
+        "gaps": tuple(_whole(of_kind[form.GAP], _gap)),
         "setup": setups[-1] if setups else None,
-        "config": _config([data for _, data in of_kind[CONFIG]]),
-        "events": tuple(_whole(of_kind[EVENT], _event)),
-        "self_tests": tuple(_whole(of_kind[SELF_TEST], _self_test)),
+        "config": _config([data for _, data in of_kind[form.CONFIG]]),
+        "events": tuple(_whole(of_kind[form.EVENT], _event)),
+        "self_tests": tuple(_whole(of_kind[form.SELF_TEST], _self_test)),
         "stop": stops[-1] if stops else None,
     }
 
@@ -347,7 +319,7 @@ def _whole(records: Sequence[tuple[int, bytes]], read: Callable[[int, bytes], T]
 
 
 def _gap(_: int, data: bytes) -> Gap:
-    source, reason, count, first, first_high, last, last_high = GAP_STRUCT.unpack_from(data)
+    source, reason, count, first, first_high, last, last_high = form.GAP_STRUCT.unpack_from(data)
     return Gap(source, reason, count, first | first_high << 32, last | last_high << 32)
 
 
@@ -356,28 +328,28 @@ def _setup(_: int, data: bytes) -> Setup:
 
 
 def _event(t_us: int, data: bytes) -> Event:
-    return Event(t_us, *EVENT_STRUCT.unpack_from(data))
+    return Event(t_us, *form.EVENT_STRUCT.unpack_from(data))
 
 
 def _self_test(t_us: int, data: bytes) -> SelfTest:
-    *response, code, passed = SELF_TEST_STRUCT.unpack_from(data)
+    *response, code, passed = form.SELF_TEST_STRUCT.unpack_from(data)
     return SelfTest(t_us, tuple(response), code, passed)
 
 
 def _stop(t_us: int, data: bytes) -> Stop:
-    return Stop(t_us, *STOP_STRUCT.unpack_from(data))
+    return Stop(t_us, *form.STOP_STRUCT.unpack_from(data))
 
 
 def _config(pieces: Sequence[bytes]) -> str:
     """The settings from the last set of pieces that is complete; they repeat."""
     text, so_far = "", b""
     for piece in pieces:
-        if len(piece) < CONFIG_STRUCT.size:
+        if len(piece) < form.CONFIG_STRUCT.size:
             continue
-        offset, total = CONFIG_STRUCT.unpack_from(piece)
+        offset, total = form.CONFIG_STRUCT.unpack_from(piece)
         so_far = so_far if offset else b""
         if offset == len(so_far):
-            so_far += piece[CONFIG_STRUCT.size :]
+            so_far += piece[form.CONFIG_STRUCT.size :]
         if len(so_far) == total:
             text = so_far.decode("ascii", errors="replace")
     return text
@@ -386,11 +358,11 @@ def _config(pieces: Sequence[bytes]) -> str:
 def _imu_gaps(octets: Bytes, position: IntArray, blocks: int) -> IntArray:
     """Lost samples (K,) of the IMU by the gaps in each block."""
     lost = np.zeros(blocks, dtype=np.int64)
-    length = LONG_LAYOUT.itemsize + GAP_STRUCT.size
-    for at in position[octets[position] == GAP].tolist():
-        if octets[at + 1] >= GAP_STRUCT.size:
-            gap = _gap(0, octets[at + LONG_LAYOUT.itemsize : at + length].tobytes())
-            lost[at // BLOCK_BYTES] += gap.count if gap.source == IMU else 0
+    length = form.LONG_LAYOUT.itemsize + form.GAP_STRUCT.size
+    for at in position[octets[position] == form.GAP].tolist():
+        if octets[at + 1] >= form.GAP_STRUCT.size:
+            gap = _gap(0, octets[at + form.LONG_LAYOUT.itemsize : at + length].tobytes())
+            lost[at // form.BLOCK_BYTES] += gap.count if gap.source == form.IMU else 0
     return lost
 
 

@@ -22,7 +22,7 @@ from smoother.errors import SessionError
 from smoother.session.readers.sheet import Column, Sheet, sheet_of
 
 MOST_MEMORY = 4 << 30  # bytes of addresses; libraries reserve more than they use
-LONGEST = 600.0  # s
+LONGEST = 120.0  # s; an hour of a log takes three, a damaged one may keep a library busy for good
 
 
 @dataclass(frozen=True)
