@@ -1,11 +1,11 @@
 """The columns every reader of fixes fills, as checks see them, and their positions in rough metres."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.session.checks.table import OneStream
 
 ABSURD_SPEED = 150.0  # m/s, 540 km/h
 METRES_PER_DEGREE = 111_195.0  # of latitude; good to 0.5 %, enough for screening
@@ -76,27 +76,16 @@ def way_from_before(c: FixColumns) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class FixRows:
+class FixRows(OneStream):
     """Columns of fixes of one file.
 
     has_rows_between : whoever read the file left out rows that its exporter interpolated between fixes.
     """
 
-    columns: FixColumns
-    file: str
     has_rows_between: bool = False
 
-    def stream(self, name: str) -> Any:
-        """Return the columns, None where no row is left."""
-        assert name == "fixes"
-        return self.columns if self.columns.t.size else None
-
-    def file_of(self, name: str) -> str:
-        """Return the name of the file."""
-        assert name == "fixes"
-        return self.file
-
-    def with_stream(self, name: str, rows: Any) -> "FixRows":
-        """Return the same with other columns."""
-        assert name == "fixes"
-        return replace(self, columns=rows)
+    @property
+    def columns(self) -> FixColumns:
+        """The rows."""
+        columns: FixColumns = self.rows
+        return columns

@@ -20,7 +20,7 @@ def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = Fal
 
     has_rows_between : whoever read the file left out rows that its exporter interpolated between fixes.
     """
-    rows, of_rows = run(ROW_CHECKS, FixRows(columns, file, has_rows_between))
+    rows, of_rows = run(ROW_CHECKS, FixRows("fixes", file, columns, has_rows_between))
     c = rows.columns
     ordered = in_time_order(c.t, c.lat_deg, c.lon_deg, file=file, prefix="gps")
     rows, of_path = run(PATH_CHECKS, rows.with_stream("fixes", c.take(ordered.index).at(ordered.t)))

@@ -24,7 +24,7 @@ START = 1_700_000_000.0  # UTC
 
 def rows() -> FixRows:
     t: Array = np.linspace(0.0, 1.0, N)
-    return FixRows(fix_columns(t, 45.0 + t, 12.0 + t, speed=t + 1.0, alt_m=t + 100.0), "gps.csv")
+    return FixRows("fixes", "gps.csv", fix_columns(t, 45.0 + t, 12.0 + t, speed=t + 1.0, alt_m=t + 100.0))
 
 
 def found(finding: Finding | None, needs: tuple[str, ...] = ()) -> tuple[FixColumns, list[str]]:
@@ -46,8 +46,6 @@ def test_a_finding_drops_rows_of_every_column_and_is_reported() -> None:
     [
         (Finding(blank={"speed": np.arange(N) > 3}), "speed", lambda x: np.where(np.arange(N) > 3, np.nan, x)),
         (Finding(scale={"speed": 0.5}), "speed", lambda x: 0.5 * x),
-        (Finding(shift={"t": np.linspace(0.0, N - 1.0, N)}), "t", lambda x: x + np.arange(N)),
-        (Finding(swap=("speed", "alt_m")), "speed", lambda x: x + 99.0),
     ],
 )
 def test_a_finding_changes_its_columns_and_nothing_else(

@@ -38,8 +38,7 @@ class Finding:
 
     text : completes '<file>: ..' with what, where, how many and what to do; an empty one is not reported.
     drop : mask (N,) of rows that are not used. blank : columns, and masks (N,) of where they are unknown. scale :
-    columns, and factors. shift : columns, and what is added to them, a number or (N,). swap : two columns that change
-    places.
+    columns, and factors.
     """
 
     text: str = ""
@@ -47,8 +46,6 @@ class Finding:
     drop: BoolArray | None = None
     blank: Mapping[str, BoolArray] = field(default_factory=dict)
     scale: Mapping[str, float] = field(default_factory=dict)
-    shift: Mapping[str, Array | float] = field(default_factory=dict)
-    swap: tuple[str, str] | None = None
 
 
 def dropped(bad: BoolArray, reason: str, most: float = 1.0) -> Finding | None:
@@ -69,6 +66,9 @@ class Check(Generic[S]):
     find: Callable[[S], Finding | None]
 
 
+O = TypeVar("O", bound="OneStream")
+
+
 @dataclass(frozen=True, eq=False)
 class OneStream:
     """A single stream, and its file."""
@@ -78,14 +78,14 @@ class OneStream:
     rows: Any
 
     def stream(self, name: str) -> Any:
-        """Return the rows."""
-        return self.rows if name == self.name else None
+        """Return the rows, None where none is left."""
+        return self.rows if name == self.name and len(self.rows.t) else None
 
     def file_of(self, name: str) -> str:
         """Return the name of the file."""
         return self.file
 
-    def with_stream(self, name: str, rows: Any) -> "OneStream":
+    def with_stream(self: O, name: str, rows: Any) -> O:
         """Return the same with other rows."""
         return replace(self, rows=rows)
 
@@ -111,10 +111,6 @@ def changed(rows: D, finding: Finding) -> D:
     """Return a dataclass of columns as a finding leaves it."""
     new: dict[str, Any] = {name: np.where(where, np.nan, getattr(rows, name)) for name, where in finding.blank.items()}
     new |= {name: getattr(rows, name) * by for name, by in finding.scale.items()}
-    new |= {name: getattr(rows, name) + by for name, by in finding.shift.items()}
-    if finding.swap is not None:
-        one, other = finding.swap
-        new |= {one: getattr(rows, other), other: getattr(rows, one)}
     assert is_dataclass(rows) and not isinstance(rows, type)
     rows = replace(rows, **new) if new else rows
     return rows if finding.drop is None or not finding.drop.any() else only(rows, ~finding.drop)

@@ -19,7 +19,6 @@ from smoother.session.readers.child import KINDS, sheets_in
 from smoother.session.readers.columns import recording_of
 from smoother.session.readers.foreign import ForeignReading
 from smoother.session.readers.layout import layout_in, sheet_in
-from smoother.session.readers.sheet import Sheet
 from smoother.session.readers.xrk import LAP
 
 _CHAPTER = re.compile(r"(?i)^g(?:[a-z](?P<chapter>\d{2})|opr)(?P<number>\d{4})\b")
@@ -66,17 +65,12 @@ def sensors_of(path: Path, sensors: Sequence[Path], others: Sequence[Path]) -> l
 
 def read_native(kind: str, paths: Sequence[Path]) -> ForeignReading:
     """Read the files of a recording of a kind that a library reads. Raises SessionError, one line."""
-    file = paths[0].name
-    return recording_of(file, [_named(sheet, file) for sheet in sheets_in(kind, paths)])
+    return recording_of(paths[0].name, sheets_in(kind, paths))
 
 
 def read_tables(path: Path, sensors: Sequence[Path] = ()) -> ForeignReading:
     """Read a table of fixes and those of sensors beside it. Raises SessionError, one line."""
     return recording_of(path.name, [sheet_in(path), *(sheet_in(sensor) for sensor in sensors)])
-
-
-def _named(sheet: Sheet, file: str) -> Sheet:
-    return Sheet(file, sheet.columns, sheet.problems, sheet.sensor, sheet.about, sheet.places)
 
 
 @contextmanager
