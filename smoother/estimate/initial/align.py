@@ -1,17 +1,16 @@
 """Attitude to start from: for any mounting of the box, with or without a standstill.
 
-While a kart drives, its nose points nearly along its path and its floor is nearly level. So, in axes of the path
-(forward, left, up), rate and specific force are known from the fixes: the rate is the course's rate about up, the force
-is the path's acceleration plus g upwards. Both are linear in what the box measures,
+While a kart drives, it points nearly along its path and is nearly level. So, in axes of the path (forward, left, up),
+rate and specific force are known from the fixes: the rate is the course's rate about up, the force is the path's
+acceleration plus g upwards. Both are linear in the measurements,
 
     angular_rate_s   = R_sb (0, 0, yaw_rate)          + gyro_bias,
     specific_force_s = R_sb (a_forward, a_left, g)    + accel_bias,
 
-and a least-squares fit over the whole session averages vibration away. The slopes are directions of the kart's axes in
-the box: together they give the mounting by Wahba's problem, the intercept of the first line is the gyro bias, even one
-of 60 deg/s. Repeating the fit at shifted times tells how far the fixes lag. A kart at rest, or one that never turns,
-leaves less; then gravity alone levels, and a problem reports the rest. Gains of a known unit convert a gyroscope; with
-any other factor the sensor is not used.
+and a least-squares fit over the whole session averages vibration. The slopes are directions of the kart's axes in s:
+together they give the mounting by Wahba's problem; the intercept of the first line is the gyro bias. The fit at shifted
+times gives the lag of the fixes. Without enough motion gravity alone levels the sensor. Gains of a known unit convert a
+gyroscope; with any other factor the sensor is not used.
 """
 
 from dataclasses import dataclass, replace
@@ -40,29 +39,27 @@ from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import GnssFixes, ImuSamples, Problem, RawImu, RawSession
 from smoother.units import DEG, STANDARD_GRAVITY
 
-# fixes at speed from which on they tell how the box lies; and those that a parked kart's noise does not make up
+# fixes at speed that determine the mounting; and more than the noise of a parked kart gives
 FEWEST_AT_SPEED, SOME_AT_SPEED = 30, 10
-STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of any sensor on a moving kart
+STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of a sensor on a moving kart
 ROUNDS = 6  # of reweighting
 UNKNOWN = 1e-15  # share of the largest eigenvalue below which one is rounding
 FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
-# Fixes, evenly taken, that are enough to find the lag roughly, and for the fit: 4000 windows with a kart's vibration
-# know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
+# fixes, evenly taken, for a rough lag and for the fit: with a kart's vibration 4000 give the mounting to 0.1 deg
 ENOUGH_FOR_LAG, ENOUGH = 500, 4000
-SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
-SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
+SETTLED = 10.0  # s of driving over which the sideslip is averaged; a spin takes 1 to 2 s
+SPUN = np.pi / 4.0  # rad off that mean, before and after, of a spin
 BESIDE_SPIN = 1.0  # s
-MOST_SPUN = 0.4  # share of the fixes; beyond, it is the gyro that does not turn as the kart does
+MOST_SPUN = 0.4  # share of the fixes; beyond it the gyroscope is wrong
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """R_bs (3, 3) rough mounting; gyro_bias_s (3,) rad/s; lag, s, of the fixes behind the IMU.
 
-    share_explained is the part (0..1) of the box's rate and force that the fixes explain, the judge of the fit;
-    is_level_only: the heading of the box in the kart could not be found, for want of fixes at speed. accel_noise
-    m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
-    since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
+    share_explained: part (0..1) of rate and force that the fixes explain. is_level_only: the heading of the sensor in
+    the kart is unknown, for want of fixes at speed. accel_noise m/s^2/sqrt(Hz), gyro_noise rad/s/sqrt(Hz): densities of
+    white noise that would explain the rest, upper bounds. problems: axes of the sensor that no rotation explains.
     gains: see `preprocess.gains`; None without fixes at speed.
     """
 
@@ -137,7 +134,7 @@ class _Lines:
 
 
 def _fit_lines(known: Array, measured: Array) -> _Lines:
-    """Lines through measured (..., N, 3) over known (N, p), by least squares with Cauchy weights; stacks at once."""
+    """Lines through measured (..., N, 3) over known (N, p), by least squares with Cauchy weights."""
     design = np.concatenate([known.T, np.ones((1, len(known)))])
     values = np.ascontiguousarray(np.moveaxis(measured, -1, -2))  # (..., 3, N): what is long comes last, for speed
     weight = np.ones(measured.shape[:-1])
@@ -175,8 +172,8 @@ def _level_only(imu: ImuSamples, at_speed: int) -> Alignment:
     problems: tuple[Problem, ...] = ()
     if at_speed >= SOME_AT_SPEED:
         text = (
-            f"only {at_speed} fixes at more than {MIN_SPEED:.0f} m/s (at least {FEWEST_AT_SPEED}): where the box "
-            "points in the kart could not be found, yaw may be anything"
+            f"only {at_speed} fixes at more than {MIN_SPEED:.0f} m/s (at least {FEWEST_AT_SPEED}): the heading of the "
+            "logger in the kart is unknown, and yaw with it"
         )
         problems = (Problem("heading_unknown", text),)
     gyro_bias_s = np.median(imu.angular_rate_s, axis=0)
@@ -186,10 +183,9 @@ def _level_only(imu: ImuSamples, at_speed: int) -> Alignment:
 def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Alignment) -> Array:
     """Attitude R_ns (K, 3, 3) at t (K,): level, yaw from the course while moving, from the gyro in between.
 
-    The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
-    added to the gyro's yaw, and held over standstills. A kart that spins while it slides on has no course to go by:
-    its yaw is that of the gyroscope alone, else the rotation would be removed and no solution could restore it. Where
-    samples are missing there are turns that the gyro has not seen, and the course alone has a say.
+    The difference of course and integrated rate, smoothed over seconds, is added to the latter, and held at stops. In a
+    spin yaw is that of the gyroscope alone, else the rotation would be lost. Where samples are missing, yaw is the
+    course.
     """
     of_gyro = gyro_yaw(imu, alignment)
     moving = path.moves
@@ -210,10 +206,7 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
 
 
 def _unwrapped(t: Array, angle: Array) -> Array:
-    """Angles (N,) rad at t (N,) s, N at least 1, without steps of a whole turn, those of a steady drift among them.
-
-    Over an outage of some seconds a bias of the gyro by some degrees a second adds up to more than half a turn.
-    """
+    """Angles (N,) rad at t (N,) s, N at least 1, without steps of a whole turn, after a steady drift is removed."""
     if len(t) < 2:
         return angle
     drift = float(np.median(np.diff(np.unwrap(angle)) / np.diff(t))) * t
@@ -221,11 +214,9 @@ def _unwrapped(t: Array, angle: Array) -> Array:
 
 
 def _spinning(t: Array, difference: Array) -> BoolArray:
-    """Mask (N,) of fixes t s of a moving kart whose nose is far off the path, by both what came before and after.
+    """Mask (N,) of fixes t s in or BESIDE_SPIN of a spin: far off the mean of SETTLED before and after.
 
-    With them those beside: a spin begins and ends slowly. difference (N,) rad: course less the gyro's yaw, which drifts
-    slowly and, where the gyro misses a turn, jumps. Means are over SETTLED of driving, however long the kart stood in
-    between.
+    difference (N,) rad: course less the integrated rate.
     """
     n = len(t)
     count = max(1, round(SETTLED / max(float(np.median(np.diff(t))), 1e-3))) if n > 1 else 1
@@ -242,7 +233,7 @@ def _spinning(t: Array, difference: Array) -> BoolArray:
 
 
 def gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:
-    """Turn about up since the first sample, (N,) rad; nothing is known of what a gap holds but half a second."""
+    """Turn about up since the first sample, (N,) rad; of a gap half a second counts."""
     yaw, before = roomy(len(imu.t)), 0.0
     for part in pieces(len(imu.t)):
         rate_up = (imu.angular_rate_s[part] - alignment.gyro_bias_s) @ alignment.R_bs[2]
@@ -274,10 +265,7 @@ TURN_UNITS = {  # how many times too fast
 
 
 def in_known_units(raw: RawSession) -> RawSession:
-    """Return the session with a gyroscope in rad/s, or without a motion sensor that is off by another factor.
-
-    Its problems report either. Where the path does not explain force and rate, the session is as it was.
-    """
+    """Return the session with a gyroscope in rad/s, or without a motion sensor that is off by another factor."""
     found = None if raw.imu is None else aligned(raw.imu, raw.gnss)
     if raw.imu is None or found is None or found.gains is None:
         return raw
@@ -295,7 +283,7 @@ def in_known_units(raw: RawSession) -> RawSession:
 
 
 def aligned(imu: RawImu, fixes: GnssFixes) -> Alignment | None:
-    """Return how the box lies in the kart by the first ENOUGH_SAMPLES samples, None without velocities."""
+    """Return the alignment by the first ENOUGH_SAMPLES samples, None without velocities."""
     driven = has_velocities(fixes.velocity_n)
     if len(imu.t) < 2 or not driven.any():
         return None

@@ -1,4 +1,4 @@
-"""What a session is before it is solved: on one clock, force and rate of one time, without pauses, and aligned."""
+"""A session before it is solved: on one clock, force at the time of the rate, without pauses, and aligned."""
 
 from dataclasses import dataclass, replace
 
@@ -19,8 +19,8 @@ from smoother.estimate.preprocess.streams import (
 )
 from smoother.samples import Problem, Session
 
-BARELY = 0.3  # sigmas, from which on a corrected drift is corrected again
-PASSES = 5  # of the clock, each of which is fitted to what the one before has left
+BARELY = 0.3  # sigmas above which a corrected drift is corrected again
+PASSES = 5  # of the clock, each fitted to the residual of the one before
 # of the explained share of rate and force; a latency of the force that reduces it by more is rejected. True ones change
 # it by +0.005 to -0.0015 (sideslip partly acts like a latency), hairpins that seemed to show one of 0.1 s by -0.006 to
 # -0.017.
@@ -78,7 +78,6 @@ def _on_one_clock(given: Session, options: GraphOptions) -> AlignedSession:
         else:
             return replace(aligned, clock=aligned.clock.without_more(beyond))
         better = replace(_aligned(clock.corrected(given), options), clock=clock)
-        # one that is corrected further explains about as much
         if not better.explains > aligned.explains - LESS_EXPLAINED * drifts_on:
             return replace(aligned, clock=aligned.clock.without_more(beyond))
         aligned = better
@@ -94,7 +93,7 @@ def _step_problem(step: Step) -> Problem:
 
 
 def _streams(session: Session, aligned: AlignedSession) -> Streams | None:
-    """Samples and fixes compared, pauses included: clocks run on in these."""
+    """Samples and fixes compared, pauses included."""
     alignment = aligned.start.alignment
     if alignment.is_level_only:
         return None
@@ -107,8 +106,7 @@ def _streams(session: Session, aligned: AlignedSession) -> Streams | None:
 def _aligned(given: Session, options: GraphOptions) -> AlignedSession:
     """Begin with a session of one clock, and cut its pauses out.
 
-    A nose that turns in and out of hairpins on its own makes a delay of the force too. It is none where the fixes,
-    which have nothing to do with it, explain less of force and rate without it.
+    A latency of the force is rejected where the fixes explain less of force and rate after its correction.
     """
     pauses = pauses_of(given)
     given = closed_up(given, pauses) if len(pauses) else given

@@ -1,4 +1,4 @@
-"""The noise that a graph starts from, before any residual tells it: of fixes and samples by themselves."""
+"""Initial noise of the graph, of fixes and samples by themselves."""
 
 import math
 
@@ -19,23 +19,21 @@ from smoother.units import DEG, STANDARD_GRAVITY
 
 DATA_SHEET_ACCEL = 300e-6 * STANDARD_GRAVITY  # m/s^2/sqrt(Hz), MPU9250 product specification
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
-START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
-ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
-# m: scatter and wander of fixed carrier phases beside Doppler at most; of all other receivers these are 0.06 and 0.35
-# or more, of those 0.02 and 0.13 or less. The least error that is left to them. That scatter is of fixes every tenth of
-# a second: of rarer ones it is what a kart does between two of them that is left, 0.045 m at 5 Hz and 0.09 at 2 Hz.
+START_SHARE = 0.5  # of the residual of the alignment; the rest is not noise of the samples
+ENOUGH_BINS = 40_000  # intervals that determine the scatter of bins; more than two hours
+# m: largest scatter and slow error of fixed carrier phases beside Doppler (0.02 and 0.13 or less; other receivers have
+# 0.06 and 0.35 or more), and their least error. The scatter is of fixes RTK_EVERY s apart and grows with their spacing
+# up to RTK_RARELY: 0.045 m at 5 Hz, 0.09 at 2 Hz.
 RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.03, 0.25, 0.01
-RTK_EVERY, RTK_RARELY = 0.1, 0.4  # s, the latter where it no longer grows
-# m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
-# alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
+RTK_EVERY, RTK_RARELY = 0.1, 0.4  # s
+# m, north, west, up: initial scatter of a fix against the next, with Doppler and without; the identification reduces it
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
 
 
 def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float | None:
     """Reported horizontal accuracy, m, of a receiver that fixes carrier phases (RTK), None of others.
 
-    It is believed where the fixes say the same: they scatter by hardly more than a digit and stay beside the Doppler,
-    which wanders by more than they do; taken for white, it would outvote them.
+    It counts where the fixes agree: they scatter by hardly more than a digit and stay beside the Doppler.
     """
     claimed = claimed_accuracy(session.gnss)
     if claimed is None:
@@ -49,11 +47,10 @@ def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float
 def first_noise(
     session: Session, path: GnssPath, alignment: Alignment, binned: BinnedImu, options: GraphOptions
 ) -> Noise:
-    """Noise to start from: of the fixes from their own smoothing, of the IMU from what alignment left unexplained.
+    """Initial noise: of the fixes from their own smoothing, of the IMU from the residual of the alignment.
 
-    That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
-    samples are perfect and the fixes are bad. Nor do fixes far apart tell their own noise: from too little of it, all
-    of it would pass for a wandering offset.
+    It is too large, and the identification reduces it: from too little, with few fixes, it would converge to perfect
+    samples and bad fixes.
     """
     stated = session.config.imu
     inertial = InertialNoise(
@@ -107,16 +104,16 @@ def scatter_of(binned: BinnedImu) -> Scatter:
 
 # Velocities of fixes at rest: the weight of each for a bias that lasts through the session.
 
-LASTS = 20.0  # s for which all that lasts of a velocity's error counts as one
-LATER = 2.0  # s after which two velocities have in common what lasts
-USUAL_SHARE, USUAL_FOR = 0.7, 5.0  # of the variance of velocities at rest that lasts; s of a stand that say as much
+LASTS = 20.0  # s, time constant of the slow error of a velocity
+LATER = 2.0  # s after which two velocities share their slow error alone
+USUAL_SHARE, USUAL_FOR = 0.7, 5.0  # prior share of the variance of velocities at rest that is slow; s of its weight
 
 
 def scale_at_rest(t: Array, velocity_n: Array, standing: BoolArray) -> float:
-    """Factor of the sigma of each velocity at rest, by which all of them tell what they do together.
+    """Factor of the sigma of each velocity at rest, so that all together have the information of correlated ones.
 
     t (N,) s; velocity_n (N, 3) m/s, NaN where unknown; standing (N,): at rest.
-    A share r of their variance lasts, the rest is white: n of them, LASTS long, have a mean of variance r + (1 - r)/n.
+    A share r of their variance is slow, the rest white: the mean of n of them over LASTS has variance r + (1 - r)/n.
     """
     if len(t) < 2:
         return 1.0

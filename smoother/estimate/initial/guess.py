@@ -39,9 +39,8 @@ ARM_ON_WHEEL = 0.02  # m
 class Start:
     """All that is known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
 
-    receiver: how the reported accuracy compares with the population's, at most 1. stated: densities of the settings,
-    which are not estimated. spans (S, 2) s: from when to when there are samples, see model/imu.py. wheels: whether
-    the factor of the wheels joins where they roll. table: of factors. pauses: where time is cut out of the session.
+    receiver: reported accuracy over the population's, at most 1. stated: densities of the settings. spans (S, 2) s: of
+    samples. wheels: whether the factor of the wheels joins. pauses: where time is cut out of the session.
     """
 
     path: GnssPath
@@ -62,7 +61,7 @@ class Start:
 
 
 def make_start(session: Session, options: GraphOptions, span: float = math.inf, pauses: Pauses = NO_PAUSES) -> Start:
-    """Return what the fixes alone and the alignment with the inertial samples show.
+    """Return the start by the fixes alone and the alignment with the inertial samples.
 
     Of a session that is much longer than `span` s, keyframes, bins and data are those of its busiest stretch as long.
     pauses: where time was cut out of the session.
@@ -142,7 +141,7 @@ def informed(session: Session, start: Start, options: GraphOptions, found: State
 
 
 def with_short_arm(priors: Priors) -> Priors:
-    """Priors where the box is on the steering wheel: its antenna is in it, and no drive shows how far from the IMU."""
+    """Priors for a logger on the steering wheel: its antenna is in it."""
     mean, sigma = priors.constants["lever_arm"]
     return replace(priors, constants=priors.constants | {"lever_arm": (mean, np.minimum(sigma, ARM_ON_WHEEL))})
 
@@ -265,8 +264,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
         options.gyro_bias_sigma,
         alignment.gyro_bias_s,
         constants,
-        # A kart leans by few degrees, and how far is hardly better known than that: a height of the antenna that is
-        # fitted to it is drawn to zero and seems to be known
+        # a kart leans too little to identify the height of the antenna
         held_s=alignment.R_bs[2] if mounting.lever_arm_b is None else None,
         has_height=bool(np.any(np.isfinite(session.fix_position_n[:, 2]))),
         drives=not alignment.is_level_only,
@@ -315,7 +313,7 @@ def busiest_part(start: Start, span: float) -> Start:
 
 
 def is_partly_sampled(start: Start) -> bool:
-    """Whether some of the fixes have no samples, and must not tell the constants."""
+    """Whether some of the fixes have no samples, and must not determine the constants."""
     return has_hole(start.spans, start.data.t[0], start.data.t[-1])
 
 

@@ -1,4 +1,4 @@
-"""Problems of an estimate: why samples are not used, and what makes results less certain than their sigmas."""
+"""Problems of an estimate: samples that cannot be used, and results less certain than their sigmas."""
 
 from collections.abc import Mapping
 
@@ -21,7 +21,7 @@ FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
 LEAST_EXPLAINED = 0.15
 LONGEST_ARM = 2.5  # m from IMU to antenna, more than any kart is long
 SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it have latencies and arm within their sigmas, those above do not
-EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix cannot come before it is true
+EARLY, EARLY_SIGMAS = 0.05, 3.0  # s by which a fix arrives before it is true, and their sigmas
 
 UNLIKE = (
     "the inertial samples do not show the motion of the fixes; smoothed from the fixes alone. Is t_s of both files on "
@@ -92,12 +92,7 @@ def early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
 
 
 def shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
-    """Report samples that are farther from the motion than any road pushes them.
-
-    Vibration of an engine near the sample rate is aliased to the same acceleration wherever the kart has that speed.
-    Lap by lap it is correlated with the motion, as a latency or a lever arm is; white noise, which sigmas assume, is
-    not.
-    """
+    """Report aliased engine vibration: it is correlated with the motion, lap by lap, as a latency or a lever arm is."""
     density = noise.inertial.accel
     if session.config.imu.accel_noise is not None or density < SHAKEN:
         return ()

@@ -22,7 +22,7 @@ from smoother.utc_clock import UtcClock
 Change = Callable[[Array], Array]
 
 USUAL_DRIFT = 5e-5  # of a quartz against GPS, beforehand
-LARGEST_DRIFT = 0.03  # more is no clock
+LARGEST_DRIFT = 0.03  # s per s
 SIGNIFICANT = 5.0  # sigmas of a drift
 ALIKE = 0.25  # of a drift, by which axes may differ unless by their own sigmas; a real kart's slip makes 0.33
 ROUNDS, ROBUST = 6, 3.0  # of reweighting; sigmas
@@ -98,8 +98,8 @@ ONE_CLOCK = Clock()
 def fit_drift(streams: Streams) -> Drift:
     """Fit a line to the lags of all axes, with an intercept of each axis, by robust least squares.
 
-    An error of the path along the track is common to all axes: together they are no better known than the best one,
-    nor than by what they contradict one another. A step is no drift: its halves have other slopes than the whole.
+    An error of the path along the track is common to all axes: the sigma is at least that of the best one, and of their
+    differences. A step is no drift: its halves have other slopes than the whole.
     """
     known, t = streams.is_known, streams.t - streams.t[0]
     sigma, lag = np.where(known, streams.sigma, 1.0), np.where(known, streams.lag, 0.0)
@@ -121,7 +121,7 @@ def fit_drift(streams: Streams) -> Drift:
 def fit_step(streams: Streams) -> Step | None:
     """Fit one step to the lags of all axes, between the two stretches where it explains most; None with few stretches.
 
-    Means before and after it are robust, by axis; what the axes contradict one another by makes it less sure.
+    Means before and after it are robust, by axis; differences of the axes increase its sigma.
     """
     known, n = streams.is_known, len(streams.t)
     if n < 2 * LEAST_BESIDE:
@@ -213,29 +213,28 @@ class Retimed:
         return self.joint.covariance(self.own(t), direction_n)
 
 
-# Sessions whose clock is off by more than any crystal: estimated in true seconds, with times told in their own.
+# Sessions whose clock is off by more than any crystal: estimated in true seconds, reported in their own.
 
-CRYSTAL = 2e-3  # more is not the drift of a crystal, which is small enough to be left alone
-BEYOND_BELIEF = 0.1  # more is not a clock
+CRYSTAL = 2e-3  # a crystal drifts less, which is not corrected
+LARGEST_SCALE = 0.1  # error of a clock
 FEWEST_FIXES, SHORTEST = 50, 20.0  # s
 ENOUGH = 200  # fixes, evenly taken
 STEADY = 0.05  # s; how far typical fixes may lie off the line
-WORTH_SAYING = 3e-4  # 16 ms of a lap of 53 s, as much as lap times are unsure; crystals are better than that
-READABLE = 0.06  # s over a session, which stamps that jitter by some ms show
+REPORTED = 3e-4  # 16 ms of a lap of 53 s, the uncertainty of a lap time
+READABLE = 0.06  # s over a session, which stamps with a jitter of some ms show
 
 
 def clock_scale(session: Session) -> float:
-    """Return how many seconds of the session pass in a true one; 1 where its clock is good, or nothing tells."""
+    """Return the seconds of the session in a true one; 1 where its clock is good, or unknown."""
     slope, _ = _against_utc(session)
-    return slope if CRYSTAL < abs(slope - 1.0) < BEYOND_BELIEF else 1.0
+    return slope if CRYSTAL < abs(slope - 1.0) < LARGEST_SCALE else 1.0
 
 
 def utc_clock(session: Session, smoothed: Trajectory) -> UtcClock | None:
     """UTC of the motion, from the first row on, which is to the millisecond as results store it.
 
-    None where nothing tells it. Wherever a time of day is shown it is reckoned from here, so that it is the same in all
-    places. A receiver says when a fix was true, and the clock of the session stamps it when it comes: later by the
-    delay, where the session tells that.
+    None where it is unknown. Every time of day is computed from here. A receiver reports when a fix was true, and the
+    clock of the session stamps it when it arrives: later by the latency, where that is observable.
     """
     if (stamped := clock_of_fixes(session)) is None:
         return None
@@ -247,25 +246,25 @@ def utc_clock(session: Session, smoothed: Trajectory) -> UtcClock | None:
 
 
 def clock_of_fixes(session: Session) -> UtcClock | None:
-    """UTC at which fixes were true, by their stamps; None where nothing tells it."""
+    """UTC at which fixes were true, by their stamps; None where it is unknown."""
     unix_s, t = session.gnss.unix_s, session.gnss.t
     if unix_s is None or not _has_utc(session.gnss):
         return None if session.unix_at_zero is None else UtcClock(0.0, session.unix_at_zero)
     slope, _ = _against_utc(session)
-    rate = 1.0 / slope if abs(slope - 1.0) < BEYOND_BELIEF else 1.0
+    rate = 1.0 / slope if abs(slope - 1.0) < LARGEST_SCALE else 1.0
     return UtcClock(float(t[0]), float(np.nanmedian(unix_s - rate * (t - t[0]))), rate)
 
 
 def _has_utc(fixes: GnssFixes) -> bool:
-    """Whether fixes say when they were true."""
+    """Whether fixes have UTC."""
     return fixes.unix_s is not None and bool(np.isfinite(fixes.unix_s).any())
 
 
 def clock_problems(session: Session) -> tuple[Problem, ...]:
-    """What is to be said of a clock that makes laps look longer or shorter than they were."""
+    """Report a clock that changes lap times."""
     slope, lasts = _against_utc(session)
     off = abs(slope - 1.0)
-    if not max(WORTH_SAYING, READABLE / lasts) < off < BEYOND_BELIEF:
+    if not max(REPORTED, READABLE / lasts) < off < LARGEST_SCALE:
         return ()
     runs = f"{100.0 * off:.2g} % {'fast' if slope > 1.0 else 'slow'}"
     mended = "; corrected in speeds and positions" if off > CRYSTAL else ""
@@ -274,7 +273,7 @@ def clock_problems(session: Session) -> tuple[Problem, ...]:
 
 
 def _against_utc(session: Session) -> tuple[float, float]:
-    """Seconds of the session in one of UTC, and how many of UTC it lasts; (1, infinite) where nothing tells."""
+    """Seconds of the session in one of UTC, and its duration in UTC, s; (1, infinite) where it is unknown."""
     unix_s, t = session.gnss.unix_s, session.gnss.t
     if unix_s is None:
         return 1.0, np.inf

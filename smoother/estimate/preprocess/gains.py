@@ -26,7 +26,7 @@ HANDED = 0.8  # of 1, the determinant of three directions; real and simulated se
 APART = 45.0 * DEG  # between up by forces and by turns; real and simulated sensors have 8 deg or less
 APART_ON_WHEEL = 100.0 * DEG  # likewise of sensors on steering wheels
 FITS = 15.0 * DEG  # the same once a mistake is undone
-MOST_NAMED = 3  # mistakes that explain it equally well; a longer list does not help
+MOST_NAMED = 3  # mistakes that explain it equally well
 MIRRORED = (
     "ax, ay, az are not right-handed: the forces fit a mirrored sensor and no rotated one; one axis has the wrong "
     "sign, two are exchanged, or longitude or latitude has the wrong sign{}. Correct the recording; attitude and "
@@ -141,21 +141,20 @@ def _angle(one: Array, other: Array) -> float:
 
 QUICK_TURN, SLOW_TURN = 0.3, 2.0  # s over which turns are averaged, and beyond which they are the kart's
 MIN_SPEED, FEWEST = 4.5, 500  # m/s, and samples at it
-# roll in parts of the yaw, and their correlation. Two real boxes on wheels have -1.0 and -1.5, and -0.9; simulated ones
-# whose wheel turns by 10 deg -1.0 to -1.2 and -0.8 to -0.9. On frames simulated karts have -0.14 to 0.01, four cars
-# -0.04 to 0.01, or -0.1 to 0.1 together
+# roll in parts of the yaw, and their correlation. Two real loggers on wheels have -1.0 and -1.5, and -0.9; simulated
+# ones whose wheel turns by 10 deg -1.0 to -1.2 and -0.8 to -0.9. On frames simulated karts have -0.14 to 0.01, four
+# cars -0.04 to 0.01, or -0.1 to 0.1 together
 LEAST_ROLL, LEAST_TOGETHER = 0.5, 0.7
-# Share of the power of those turns which may be vibration that the sampling folds: a tone, that all axes have in
-# common in any proportion. Real boxes on wheels have 0.04 and 0.2, shaken ones whose wheel does not show 0.6 and more
-# at 25 Hz. At 100 Hz an engine that turns as often is folded to turns as slow as a hand's: frames have 0.23 to 0.45
+# largest share of aliased vibration in the power of those turns. Real loggers on wheels have 0.04 and 0.2, vibrating
+# ones at 25 Hz 0.6 and more; on frames, where an engine is aliased to the frequencies of a hand at 100 Hz, 0.23 to 0.45
 MOST_FOLDED = 0.3
-SHORTEST = 4e-3  # s between samples: a hand needs no quicker ones, and means of them fold less
-# samples that tell a wheel, from where the kart drives off on: ten copies of them are in memory at once
+SHORTEST = 4e-3  # s between samples; quicker ones are averaged
+# samples that are analysed, from the first fix at speed on
 MOST = 1 << 20
 
 
 def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
-    """Whether the quick turns of a box are those of a steering wheel. No mounting is asked for, nor is it told."""
+    """Whether the quick turns of a logger of any mounting are those of a steering wheel."""
     part = _where_driven(imu.t, fixes)
     t, force, rate = _in_means(imu.t[part], imu.specific_force_s[part], imu.angular_rate_s[part])
     driving = _at_speed(t, fixes)
@@ -178,18 +177,17 @@ def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
 
 
 def _folded(shaking: Array, slow: int, quick: int) -> float:
-    """Power that turns between means of `slow` and of `quick` samples have of vibration, by what is quicker (N,).
+    """Power of vibration in turns between means of `slow` and of `quick` samples, by what is quicker (N,).
 
-    Hands hardly turn a wheel more quickly; what the sampling folds is there too, and on average as much per Hz.
+    Aliased vibration has on average as much per Hz there.
     """
     return float(shaking @ shaking) * (1.0 / quick - 1.0 / slow) / (1.0 - 1.0 / quick)
 
 
 def without_the_wheels(problems: tuple[Problem, ...]) -> tuple[Problem, ...]:
-    """Return problems of an alignment of a box on the wheel, without what the wheel explains.
+    """Return the problems of the alignment of a logger on the wheel that the wheel does not explain.
 
-    A hand turns the wheel as the path bends: the box turns about the column then as much as about up. Axes that are
-    mirrored are so on a wheel too, and turn the other way.
+    The wheel turns about its column as the path bends, so that axes of turn and of gravity differ.
     """
     if any(problem.code == MIRRORED_AXES for problem in problems):
         return problems
@@ -197,7 +195,7 @@ def without_the_wheels(problems: tuple[Problem, ...]) -> tuple[Problem, ...]:
 
 
 def _in_means(t: Array, force: Array, rate: Array) -> tuple[Array, Array, Array]:
-    """Means of so many samples, at t (N,) s, each (N, 3), that they come no more often than every SHORTEST s."""
+    """Means of samples at t (N,) s, each (N, 3), no more often than every SHORTEST s."""
     several = int(SHORTEST / max(float(np.median(np.diff(t))), 1e-6) + 1e-3) if len(t) > FEWEST else 1
     if several < 2:
         return t, force, rate
@@ -223,7 +221,7 @@ def _at_speed(t: Array, fixes: GnssFixes) -> BoolArray:
 
 
 def _ahead_and_up(force: Array, rate: Array) -> tuple[Array, Array]:
-    """Unit vectors (3,) of the box: gravity is felt upwards, and in bends to the left the push is to the left."""
+    """Unit vectors (3,) in s: the mean force is up, and in bends to the left the force is to the left."""
     up = force.mean(axis=0)
     up /= np.linalg.norm(up) or 1.0
     push = (rate @ up) @ force

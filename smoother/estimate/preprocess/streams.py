@@ -124,7 +124,7 @@ _KNOWN: WeakKeyDictionary[ImuSamples, Averages] = WeakKeyDictionary()
 
 
 def averages_of(imu: ImuSamples) -> Averages:
-    """Return the averages of samples, those that were made before while the samples are there."""
+    """Return the averages of samples, cached while the samples exist."""
     if len(imu.t) > SHARED:
         return Averages(imu)
     known = _KNOWN.get(imu)
@@ -158,23 +158,23 @@ STRETCH, MOST_STRETCHES = 10.0, 400  # s of driving: a bend or two
 FEWEST_STRETCHES, FEWEST = 5, 8  # of a session; fixes of a stretch
 ENOUGH_ROUGHLY, ENOUGH = 40, 100  # fixes of a stretch
 SLOWEST = 1.5  # s between fixes; in more a kart goes round a bend
-FARTHEST, STEP = 2.2, 0.1  # s about the usual lag that is searched, and between two of them
-INDEPENDENT = 2.0  # s, after which path and measurement differ by something else
+FARTHEST, STEP = 2.2, 0.1  # s about the usual lag that are searched, and their spacing
+INDEPENDENT = 2.0  # s, correlation time of the difference of path and measurement
 JUMP_COSTS, CREEP_COSTS = 6.0, 0.5  # log-likelihood of another lag than in the stretch before, and of the next one
 REWEIGHTED, ITERATIONS = 4, 4
 FARTHEST_MOVE, SETTLED = 0.15, 0.002  # s, of one iteration
 BESIDE_ROUGH = 0.3  # s, by which a lag may be off the one found roughly
-BLOCK = 2.0  # s; what is left is independent of what is left later
-FLOOR = 0.05  # of the spacing of the fixes, by which a path between them is late or early
-UNKNOWN = 10.0  # sigmas, by which lags scatter of which too few show
-LIVELY = 0.4  # of what an axis usually does; less shows nothing
-LEAST_GAIN = 0.3  # of 1; less is not the motion of the path, or it is mirrored
+BLOCK = 2.0  # s; residuals of different blocks are independent
+FLOOR = 0.05  # least sigma in parts of the spacing of the fixes
+UNKNOWN = 10.0  # scatter of too few lags, in sigmas
+LIVELY = 0.4  # least motion of an axis, in parts of its usual one
+LEAST_GAIN = 0.3  # of 1
 TINY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What a sensor measures along the axes of a kart in which it is mounted by R_bs (3, 3); gyro_bias_s (3,) rad/s."""
+    """Measurements along the axes of the kart; R_bs (3, 3), gyro_bias_s (3,) rad/s."""
 
     averages: Averages
     R_bs: Array
@@ -320,10 +320,7 @@ def _fitted(measured: Measured, rows: _Rows, rough: Array, spacing: float) -> St
 
 
 def _scatter(lag: Array, sigma: Array) -> Array:
-    """Scatter (3,) of lags (3, B), in their sigmas, from one stretch to the next, which clocks hardly make; at least 1.
-
-    What lasts for a corner is in it, as in no sigma of a stretch, which holds two of them.
-    """
+    """Scatter (3,) of lags (3, B), in their sigmas, from one stretch to the next; at least 1."""
     out = np.full(3, UNKNOWN)
     for i, known in enumerate(np.isfinite(sigma)):
         both = known[1:] & known[:-1]
@@ -335,7 +332,7 @@ def _scatter(lag: Array, sigma: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """By axis and stretch, (3, B): by how much, s, the lag is to be moved, its sigma, and gain."""
+    """By axis and stretch, (3, B): correction of the lag, s, its sigma, and gain."""
 
     move: Array
     sigma: Array
@@ -343,10 +340,9 @@ class _Fit:
 
     @classmethod
     def of(cls, rows: _Rows, here: Array) -> "_Fit":
-        """Fit what was measured, here (3, N), by path, its change and an offset, with Cauchy weights.
+        """Fit measurements, here (3, N), by path, its change and an offset, with Cauchy weights.
 
-        Sigmas are from the scatter of the scores between blocks (the sandwich of White 1980), which all stretches have
-        in common: in a single one chance makes it any size.
+        Sigmas are from the scatter of the scores between blocks of all stretches (the sandwich of White 1980).
         """
         weight, all_of = np.ones_like(here), rows.stretch
         for _ in range(REWEIGHTED):
