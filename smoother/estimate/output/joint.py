@@ -1,9 +1,8 @@
-"""How the errors of the antenna's position at several times are correlated, of one chain and of windows of one.
+"""Joint covariance of the errors of the antenna's position at several times, of one chain and of windows.
 
-A graph takes Doppler velocities for independent of one another. They nearly are, but what is left adds up: of two
-modules in one car each wanders by 0.35 m from the other's course in a minute, where 0.1 m would be expected
-(`benchmarks/twins.py`). No session shows that by itself, since neither fixes nor samples measure it; so what receivers
-are known to do is added to what a chain says (:class:`WithUnseen`).
+The graph assumes independent Doppler velocities. Their slow errors add up: of two modules in one car each wanders by
+0.35 m from the other's course in a minute, where 0.1 m would be expected (`benchmarks/twins.py`). No session shows that
+by itself, so the usual one of receivers is added to the covariance of a chain (:class:`WithUnseen`).
 """
 
 from collections.abc import Sequence
@@ -23,21 +22,18 @@ from smoother.trajectory import JointPosition
 
 THINNED = 4  # one keyframe of so many is kept of a window: in 0.8 s a position's error is still a straight line
 ALWAYS = 1e6  # s
-CHANGES = 20  # pairs of times that it is looked for at
-POSITION_TAU = 300.0  # s after which fixes have corrected what the position had added up to
+CHANGES = 20  # pairs of times for the usual change of a position
+POSITION_TAU = 300.0  # s, time constant of the correction of a position by fixes
 
 
 @dataclass(frozen=True, eq=False)
 class WithUnseen:
-    """The JointPosition of a session, with what it cannot show.
+    """The JointPosition of a session, with the errors that it cannot show.
 
-    unseen (3,) m^2: variance of the slow error of the fixes that is the same at all times. variance m^2: the usual one
-    of a position along one level direction, of a path that followed Doppler velocities, whose slow error makes it
-    wander; None without Doppler. errors: slow ones,
-    where laps show them. A position is neither surer nor less sure for wandering, but shares less of its error
-    with another one: where they share all, what changes between them is :meth:`changed`, less by what that is at most
-    against the variance (a position known to 0.2 m wanders by no more); where nothing, nothing is changed. (A product
-    with a correlation stays a covariance: Schur.)
+    unseen (3,) m^2: variance of the constant part of the slow error of the fixes. variance m^2: the usual one of a
+    position along one level direction of a path that follows Doppler velocities; None without Doppler. errors: slow
+    ones, where laps show them. The slow error of Doppler reduces the correlation of two positions, not their variances:
+    by :meth:`changed`, bounded by the variance. (A product with a correlation stays a covariance: Schur.)
     """
 
     joint: JointPosition
@@ -55,7 +51,7 @@ class WithUnseen:
         return np.asarray(P * (1.0 - lost))
 
     def changed(self, apart: Array) -> Array:
-        """Variance (N,) m^2 of the change of a position over `apart` (N,) s by what no chain knows."""
+        """Variance (N,) m^2 of the change of a position over `apart` (N,) s by the slow error of Doppler."""
         return wander(apart) if self.errors is None else self.errors.parted(apart)
 
 
@@ -128,16 +124,15 @@ def window_positions(first: float, last: float, state: State, chain: Chain) -> W
 class WindowsJoint:
     """The JointPosition of a session in windows.
 
-    Two times that one window holds, as those of a lap do, are as far apart in error as it says; others are independent.
-    Which window is asked does not change the error of a single time, which is that of the window it counts in: a
-    difference of large numbers from two windows would be meaningless.
+    Two times in one window, as those of a lap, have the joint covariance of it; others are independent. The variance of
+    a single time is that of the window it counts in.
     """
 
     windows: Sequence[WindowPositions]
 
     def covariance(self, t: Array, direction_n: Array) -> Array:
         """See :class:`smoother.trajectory.JointPosition`."""
-        own, apart, room = np.zeros(len(t)), np.zeros((len(t), len(t))), np.full((len(t), len(t)), -np.inf)
+        own, change, room = np.zeros(len(t)), np.zeros((len(t), len(t))), np.full((len(t), len(t)), -np.inf)
         for i, window in enumerate(self.windows):
             inside = np.flatnonzero((window.room(t) >= 0.0) | self._counts(i, t))
             if inside.size == 0:
@@ -149,9 +144,9 @@ class WindowsJoint:
             own[inside[counts]] = variance[counts]
             both = np.minimum.outer(window.room(t[inside]), window.room(t[inside]))
             better = both > room[here]
-            apart[here] = np.where(better, variance[:, None] + variance - 2.0 * P, apart[here])
+            change[here] = np.where(better, variance[:, None] + variance - 2.0 * P, change[here])
             room[here] = np.where(better, both, room[here])
-        together = 0.5 * (own[:, None] + own - apart)
+        together = 0.5 * (own[:, None] + own - change)
         P = np.where(room > -np.inf, together, 0.0)
         np.fill_diagonal(P, own)
         return P

@@ -1,11 +1,9 @@
-"""How the box sits in the kart, from the path itself: where the nose points, and which way is up, on average.
+"""Mounting of the sensor in the kart, from the path: heading and level, on average.
 
-A kart that neither slides nor leans points along its path and stands level. It does both in proportion to its
-acceleration, so the mounting is what is left at zero acceleration: the intercept of a robust line through slip angle
-and roll over lateral acceleration, and through pitch over forward acceleration. A mean would carry the bias of a track
-with more turns to one side. Up is square to the road along the path, which climbs as the velocity does; across it roads
-are taken to be level on average. Their deviations from level give the uncertainty of that assumption, and of the
-separation of lean from a crossfall in bends.
+A kart slides and leans in proportion to its acceleration, so the mounting is the attitude at zero acceleration: the
+intercept of a robust line through sideslip and roll over lateral acceleration, and through pitch over forward
+acceleration. A mean would carry the bias of a track with more turns to one side. Up is normal to the road along the
+path, which climbs as the velocity does; across it roads are level on average.
 """
 
 from dataclasses import dataclass, replace
@@ -22,13 +20,13 @@ from smoother.frames import wrap_angle
 from smoother.trajectory import Keyframes
 from smoother.units import ANY_ANGLE, DEG
 
-MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
+MEMORY = 10.0  # s, correlation time of slip, lean and errors of attitude: a corner or two
 ROUGH = np.pi / 4.0  # sigma about each axis of a mounting that could not be fitted
-SLOWEST = 2.5  # m/s, where nothing was quicker
-MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
-SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
-SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
-ROAD_SLOPE = 0.05  # of roads that lead from one place to another, where no height tells
+SLOWEST = 2.5  # m/s, for slow drives
+MIN_KEYFRAMES = 100  # at speed
+SWING_SPAN = 2.0  # s; a steering wheel moves faster, slide, lean and errors of attitude slower
+SWING = 2.5 * DEG  # of roll within that time: cars have 0.1 deg, loggers on a wheel 4 to 6
+ROAD_SLOPE = 0.05  # of roads from one place to another, without heights
 STEERED = 0.6  # least correlation of that with slip
 
 
@@ -36,7 +34,7 @@ STEERED = 0.6  # least correlation of that with slip
 class FittedMounting:
     """R_bs (3, 3), sigma (3,) rad about axes of b, whether it is known, and whether from the attitudes themselves.
 
-    by_wheels: the nose is where the slip of the wheels has it, one of the graph's constants.
+    by_wheels: the heading is that of the slip of the wheels, one of the graph's constants.
     """
 
     R_bs: Array
@@ -47,7 +45,7 @@ class FittedMounting:
 
 
 def are_at_speed(state: State) -> BoolArray:
-    """Mask (K,) of the keyframes at a speed that tells how the box lies in the kart."""
+    """Mask (K,) of the keyframes at a speed that shows the mounting."""
     level = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
     driven = level > 1.5 * MIN_SPEED
     return np.asarray(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else level > SLOWEST)
@@ -89,13 +87,13 @@ def fit_mounting(
 
 
 def _are_fitted(state: State, missing: Array | None) -> BoolArray:
-    """Mask (K,) of the keyframes that a mounting is fitted to: at speed, and told by samples."""
+    """Mask (K,) of the keyframes that a mounting is fitted to: at speed, with samples."""
     use = are_at_speed(state)
     return use if missing is None else use & are_observed(missing)
 
 
 def _slope_sigma(state: State, driven: BoolArray, height_sigma: float | None) -> float:
-    """How well the mean slope of the road is known, rad: laps come back to where they were, roads lead elsewhere."""
+    """Sigma of the mean slope of the road, rad: laps return to their start, roads lead elsewhere."""
     length = float(np.sum(np.hypot(state.velocity_n[driven, 0], state.velocity_n[driven, 1]))) * state.interval
     if height_sigma is not None:
         return height_sigma / length
@@ -104,10 +102,9 @@ def _slope_sigma(state: State, driven: BoolArray, height_sigma: float | None) ->
 
 
 def along_wheels(mounting: FittedMounting, state: State, variance: float) -> FittedMounting:
-    """Return `mounting` with the nose where the slip found it, `variance` rad^2, beside the first level axis.
+    """Return `mounting` with the heading by the slip, of variance `variance` rad^2.
 
-    About what is up in the mounting: the level axes are an alignment's, with few fixes some degrees off level and tens
-    off the nose, and turned about their own up the nose would be off by the product of both.
+    It turns about the up of the mounting: the level axes of the alignment may be some degrees off level.
     """
     offset, axis_b = state.constants["slip"][0], mounting.R_bs @ state.geometry.level_axes_s[0]
     turned = so3.exp(np.array([[0.0, 0.0, offset]]))[0]
@@ -118,22 +115,16 @@ def along_wheels(mounting: FittedMounting, state: State, variance: float) -> Fit
 
 
 def without_heading(mounting: FittedMounting) -> FittedMounting:
-    """Return `mounting` of a kart hardly seen driving: its nose may point anywhere, also where the mounting is stated.
-
-    For where the sensor points is not known then either.
-    """
+    """Return `mounting` of a kart that hardly drove: its heading is unknown, also with a stated mounting."""
     stated = mounting.is_observable and not mounting.is_fitted
     return replace(mounting, sigma=np.array([*mounting.sigma[:2], ANY_ANGLE]), is_observable=stated)
 
 
 def swing_on_the_wheel(keyframes: Keyframes, *, is_steered: bool = False) -> Array | None:
-    """How far a box on the steering wheel stands off the kart, (3,) rad rms about the axes of b; None for other boxes.
+    """Rms angles (3,) rad about the axes of b between kart and a logger on the steering wheel; None for others.
 
-    A wheel turned to the left turns the box to the left about the column, which leans to the driver: the box leans to
-    the left as well, by much and at once. A kart in the same bend turns its nose to the left and leans to the right.
-    What the kart itself leans and slides is in these figures too, and little beside the wheel.
-
-    is_steered: the samples themselves have told a wheel, so that attitudes that are unsure only have to go with it.
+    The column leans to the driver, so that the logger rolls to the side it turns to; a kart rolls to the other side.
+    is_steered: the samples show a wheel, so that no significance of the swing is required.
     """
     level = np.hypot(keyframes.velocity_n[:, 0], keyframes.velocity_n[:, 1])
     driving = level > 1.5 * MIN_SPEED
@@ -155,8 +146,8 @@ def swing_on_the_wheel(keyframes: Keyframes, *, is_steered: bool = False) -> Arr
 def _first_of_line(design: Array, angle: Array, memory: int) -> tuple[float, float]:
     """First coefficient of a line with Cauchy weights, and its sigma. design (N, 2), angle (N,).
 
-    memory: number of samples beyond which errors are taken for independent. Source of the sigma: the sandwich of
-    M-estimation (Huber 1981, 7.6) with the autocovariances summed up to the first that is not positive (Geyer 1992).
+    memory: number of samples beyond which errors are independent. Source of the sigma: the sandwich of M-estimation
+    (Huber 1981, 7.6) with the autocovariances summed up to the first that is not positive (Geyer 1992).
     """
     line, residual, weight = _robust_line(design, angle)
     slope = weight * (2.0 * weight - 1.0)  # of weight times residual

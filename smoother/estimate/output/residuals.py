@@ -23,11 +23,11 @@ from smoother.fit.noise_spread import Residuals, of_force, of_positions, of_rate
 from smoother.trajectory import WHITENED, ResidualStatistics
 from smoother.units import DEG
 
-# Of the sigma of the sideslip: by how much corners differ, and rad. 90 simulated karts with as much as nobody has seen,
-# drawn at random, had rms 0.7 of that
+# sigma of the sigma of the sideslip: in parts of it, by how much corners differ, and rad. 90 simulated karts had 0.7 of
+# that
 SLIP_DIFFERS, SLIP_LATE = 0.5, 5e-3
-ANY_SLIP = 2.0 * DEG  # how much it differs from corner to corner, beforehand
-DIFFERENT = 12.0  # corners of a track, each of which has a sideslip of its own
+ANY_SLIP = 2.0 * DEG  # prior of its variation from corner to corner
+DIFFERENT = 12.0  # corners of a track
 ROUND_IT, OUT_OF_IT = 0.6, 0.3  # of a hard corner's lateral acceleration, between which one corner becomes another
 FIT_SIGMA = 1.0 * DEG  # of a keyframe's sideslip about its constants
 
@@ -36,10 +36,9 @@ FIT_SIGMA = 1.0 * DEG  # of a keyframe's sideslip about its constants
 class NoiseUncertainty:
     """Sigmas of the logarithms of densities of force and rate, and (3,) of the sigmas of position and velocity.
 
-    wandered (3,) m^2: what the slow error of the fixes adds to their white noise between keyframes, beside the straight
-    line that is taken for it there. hidden (3,) m: how far it may go unseen beneath that noise. slip rad: sigma of the
-    sigma of the sideslip; wheels_heading rad^2: variance of the heading by what its constants miss in the same way in
-    every lap; None without wheels.
+    wandered (3,) m^2: variance of the slow error of the fixes about a straight line between keyframes. hidden (3,) m:
+    slow error that the noise may hide. slip rad: sigma of the sigma of the sideslip; wheels_heading rad^2: variance of
+    the heading by errors of the slip that every lap repeats; None without wheels.
     """
 
     accel: float
@@ -56,7 +55,7 @@ def noise_uncertainty(solution: Solution, slip_prior: Array) -> NoiseUncertainty
     """Return how well the noise of a solution is known by its residuals; slip_prior (4,): sigmas of the constants."""
     found, noise, state = solution.components, solution.noise, solution.state
     if found is None:
-        raise ValueError("the noise was known, not found")
+        raise ValueError("the noise was given, not identified")
     rows, lasts = solution.step.rows["gps_position"], float(state.t[-1] - state.t[0])
     return NoiseUncertainty(
         of_force(_in_time(found.force), has_doppler=_have_doppler(found.position, found.velocity)),
@@ -102,11 +101,10 @@ def _wandered(positions: Rows, noise: Noise, interval: float) -> Array:
 
 
 def _of_slip(solution: Solution, prior: Array) -> tuple[float | None, float | None]:
-    """Sigma, rad, of the sigma of the sideslip, and variance, rad^2, of the heading that its constants show.
+    """Sigma, rad, of the sigma of the sideslip, and variance, rad^2, of the heading by its constants.
 
-    The process of the slip forgets in seconds, and a hundred laps would show the heading ten times as well as one. But
-    tyres are not linear: what the constants miss comes back lap after lap. How far the mean of all slip has the heading
-    from where its process has it is in here as well.
+    Tyres are not linear: errors of the constants repeat lap after lap, so that laps are not independent. The difference
+    of the heading by the mean of all slip and by its process is included.
     """
     sigma, rolls = solution.noise.slip, solution.graph.measured.rolls
     if sigma is None or rolls is None:
@@ -116,17 +114,17 @@ def _of_slip(solution: Solution, prior: Array) -> tuple[float | None, float | No
         solution.state, LowPassedMotion(solution.state, solution.noise.inertial.accel, solution.noise.inertial.gyro)
     )
     by = slip.by_constants[k]
-    apart = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / prior) ** 2), by.T @ slip.value[k])[0]
+    shift = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / prior) ** 2), by.T @ slip.value[k])[0]
     independent = len(k) * solution.state.interval / (2.0 * SLIP_TIME)
     different = min(DIFFERENT, independent, corners(by[:, 1] / by[:, 0]))
     information = different * by.T @ by / len(k) / sigma**2 + np.diag(prior**-2.0)
     guessed = SLIP_COUNT / (SLIP_COUNT + independent) * ANY_SLIP
-    of_heading = float(np.linalg.inv(information)[0, 0] + apart**2)
+    of_heading = float(np.linalg.inv(information)[0, 0] + shift**2)
     return math.hypot(SLIP_DIFFERS * sigma, SLIP_LATE, guessed), of_heading
 
 
 def corners(lateral: Array) -> int:
-    """How often a kart went into a corner, by its lateral accelerations (N,) m/s^2; a steady circle is one."""
+    """Number of corners, by lateral accelerations (N,) m/s^2; a steady circle is one."""
     part = lateral / max(float(np.percentile(np.abs(lateral), 90)), 1e-9)
     turns = np.where(np.abs(part) > ROUND_IT, np.sign(part), 0.0)
     turns = turns[(turns != 0.0) | (np.abs(part) < OUT_OF_IT)]

@@ -1,16 +1,14 @@
-"""Which part of what fixes do slowly beside the path is their own, and which is that of the Doppler it follows.
+"""Separation of the slow error of the fixes from that of the Doppler velocities that the path follows.
 
-A graph takes Doppler velocities for independent of one another, so that the path follows them, and whatever fixes do
-beside it over half a minute and more passes for their offset. Where fixes hardly wander, a part of it is Doppler: its
-slow error, added up (`slow_doppler.DOPPLER`), is 0.1 m after 30 s. Neither samples nor fixes object to a path that
-moves by that way, with the offset less by as much; so it has no unknown of its own in the graph. What the graph calls
-the offset y is shared out afterwards, per level axis,
+The graph assumes independent Doppler velocities, so that the path follows them, and slow differences from the fixes
+become their offset. A part of it is the slow error of Doppler, integrated: 0.1 m after 30 s (`slow_errors.DOPPLER`).
+Neither samples nor fixes can separate both, so it is no unknown of the graph. Its offset y is separated afterwards, per
+level axis,
 
     y = o + w,   o: first-order Gauss-Markov, of the fixes;   w' = b,   b: first-order Gauss-Markov, of Doppler
 
 by the most probable o, w and b of a chain of nodes. Sigmas of o and b are those that laps show (`slow_errors`); without
-laps b is the usual one and o has the likeliest sigma. The path moves by w: where fixes wander by a metre and Doppler
-hardly, that is next to nothing, where they hardly do, it is most of y.
+laps b is the usual one and o has the likeliest sigma. The path moves by w.
 
 Sources: Gelb 1974, 3.8 (both processes); Schweppe 1965 (the likelihood); Rauch, Tung and Striebel 1965 (that the most
 probable states are those of least squares).
@@ -30,13 +28,13 @@ from smoother.estimate.model.state import State
 from smoother.estimate.output.resample import bracket, hermite, hermite_slope
 from smoother.estimate.solvers.batch import solve_rows
 
-WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is
-SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from none to what is larger than receivers'
+WEIGHTY = 0.5  # least robust weight of a fix that determines the offset
+SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o, that are tried
 UNKNOWNS = 3  # of a node: o, w, b
 
 
 def share_wander(state: State, seen: Drift, errors: SlowErrors) -> State:
-    """Return the state with what is Doppler's of the level offset, `seen` at fixes, moved into the path."""
+    """Return the state with Doppler's part of the level offset, `seen` at fixes, moved into the path."""
     moved_n, faster_n = moved(seen, errors, state.t)
     return replace(
         state,
@@ -54,15 +52,14 @@ def _sum(values: Array, more: Array) -> Array:
 
 
 def unaided(seen: Drift, tau: float) -> SlowErrors:
-    """Return the slow errors without laps: that of Doppler is the usual one, that of fixes, which lasts tau s, the
-    likeliest beside it."""
+    """Return the slow errors without laps: the usual one of Doppler, the likeliest of fixes, of time constant tau s."""
     return SlowErrors(likeliest_sigma(seen, tau), tau, DOPPLER)
 
 
 def moved(seen: Drift, errors: SlowErrors, t: Array) -> tuple[Array, Array]:
-    """Way w m and velocity b m/s (N, 3) at t (N,) s of the part of the offset `seen` that is Doppler's; none upwards.
+    """Way w m and velocity b m/s (N, 3) at t (N,) s of Doppler's part of the offset `seen`; none upwards.
 
-    Before the first and after the last node the way stays what it is there.
+    Before the first and after the last node the way is constant.
     """
     _, w, b = most_probable(seen, errors.sigma, errors.tau, errors.doppler)
     place = bracket(seen.t, t)
