@@ -28,7 +28,7 @@ from smoother.trajectory import (
 )
 from smoother.units import ANY_ANGLE
 
-MARGIN = 20.0  # s of the path around the rows that are made together: more than what is expected of them reaches
+MARGIN = 20.0  # s of the path around the rows that are made together: longer than the filter reaches
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 
 
@@ -54,14 +54,14 @@ class Stretch:
         return rate_n * UP_N if self.state.geometry.is_steered else rate_n
 
     def swing_covariance(self, arm_n: Array) -> Array:
-        """Covariance (N, 3, 3) m^2/s^2 of what the errors of the rates swing arms arm_n (N, 3) by."""
+        """Covariance (N, 3, 3) m^2/s^2 of the velocity of arms arm_n (N, 3) by errors of the rates."""
         by_rate = so3.skew(arm_n)
         return np.asarray((by_rate * self.rate_variance) @ by_rate.transpose(0, 2, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class DenseSource:
-    """What dense rows come from: a solved chain, its samples, and the noise of these.
+    """Source of dense rows: a solved chain, its samples, and their noise.
 
     pauses: where time is cut out of the session; no path goes through them.
     """
@@ -94,7 +94,7 @@ class DenseSource:
             path.angular_rate_s @ axes.T, noise.gyro**2 * variances[1], dt, np.ones(3, dtype=np.bool_)
         )
         acceleration_n, rate_n = (_at_edges(np.einsum("kij,kj->ki", R_nb, x)) for x in (acceleration_b, rate_b))
-        if state.geometry.is_steered:  # the box turns with the wheel, the kart with its course
+        if state.geometry.is_steered:  # the kart turns with its course
             rate_n[:, 2] = np.interp(path.t, state.t, np.gradient(course_of(state), state.interval))
         left[:2] = left[:2].mean()  # about any level axis
         return Stretch(keys, state, bins, path, acceleration_n, rate_n, left)
@@ -107,7 +107,7 @@ def _at_edges(values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class DenseRows:
-    """Rows of the trajectory as they are made, a part at a time: those of a day do not fit into the memory.
+    """Rows of the trajectory, which are made a part at a time: those of a day do not fit into memory.
 
     position_n m, velocity_n m/s (N, 3) of the antenna; R_nb (N, 3, 3), acceleration_b m/s^2 without gravity and
     angular_rate_b rad/s (N, 3) of the kart; sigmas: fields of :class:`Sigmas`.
@@ -153,10 +153,9 @@ class DenseRows:
             self.sigmas[name][part] = values
 
     def add_time_uncertainty(self, part: slice, sigma: float, of_attitude: float = 0.0) -> None:
-        """Add what the kart goes and gains in `sigma` s to the sigmas of position, velocity and speed of `part`.
+        """Add the motion in `sigma` s to the sigmas of position, velocity and speed of `part`.
 
-        of_attitude s: likewise what it turns. Less than all of the former: what filters may hold samples back by is
-        small beside errors of attitude.
+        of_attitude s: likewise for attitude.
         """
         velocity_n, R_nb = self.velocity_n[part], self.R_nb[part]
         acceleration_n = np.einsum("nij,nj->ni", R_nb, self.acceleration_b[part])
@@ -218,7 +217,7 @@ def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, v
         "position_n": np.sqrt(diagonal[:, 3:6]),
         "velocity_n": np.sqrt(diagonal[:, 0:3]),
         "speed": np.sqrt(np.maximum(speed, 0.0)),
-        "attitude": np.sqrt(np.clip(attitude, 0.0, ANY_ANGLE**2)),  # no angle is less known than one that may be any
+        "attitude": np.sqrt(np.clip(attitude, 0.0, ANY_ANGLE**2)),
         "track": np.sqrt(np.maximum(variance, 0.0)),
     }
 
@@ -232,8 +231,8 @@ BEYOND = 10.0  # s by which both ends are mirrored
 def without_noise(values: Array, noise: Array, dt: float, falling: BoolArray) -> tuple[Array, Array]:
     """Return values (N, c), dt s apart, without white noise of variance `noise` (c,), and the variances (c,) left.
 
-    falling (c,): signals of which there is the less the quicker they are, beyond where they are strongest. Of these the
-    kept share never rises again: engines that the sampling folds do not pass for motion. (A kart bounces on its tyres.)
+    falling (c,): signals whose power falls with frequency beyond its peak; their kept share never rises again, so that
+    aliased vibration does not pass. (A kart bounces on its tyres.)
     """
     n = len(values)
     beyond = min(n - 1, round(BEYOND / dt))

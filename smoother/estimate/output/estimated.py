@@ -42,7 +42,7 @@ ARM = COLUMNS["lever_arm"]
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What is known of the errors of K keyframes.
+    """Covariances of the errors of K keyframes.
 
     antenna (K, 9, 9): see :func:`antenna_covariance`; biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see
     :func:`track_variance`.
@@ -97,7 +97,7 @@ def antenna_covariance(state: State, known: Covariances, wheels_heading: float |
 
 
 def _turning(state: State, R_arm: Array) -> Array:
-    """Mean angular rate (K, 3) rad/s in n, of what the arm keeps to, from each keyframe to the next."""
+    """Mean angular rate (K, 3) rad/s in n of the arm, from each keyframe to the next."""
     turn = so3.log(R_arm[:-1].transpose(0, 2, 1) @ R_arm[1:]) / state.interval
     return np.asarray(np.einsum("kij,kj->ki", R_arm, np.concatenate([turn, turn[-1:]])))
 
@@ -105,8 +105,7 @@ def _turning(state: State, R_arm: Array) -> Array:
 def track_variance(state: State, known: Covariances) -> Array:
     """Variance of the antenna's position plus offset, the line in the frame of the fixes, (K, 2) m^2 per level axis.
 
-    Of each keyframe, and together with the next one: the offset is rough, and between two keyframes it is their mean.
-    The antenna is where the arm has it: arm and latency err together, by what the sensor itself is not off.
+    Column 0: of each keyframe; column 1: covariance with the next one.
     """
     K, R_arm = len(state.t), arm_axes(Between.at(state, state.t))
     by_state, by_arm = np.zeros((K, 2, KEYFRAME_SIZE)), R_arm[:, :2]
@@ -128,13 +127,13 @@ def track_variance(state: State, known: Covariances) -> Array:
     return np.stack([own, np.append(with_next, own[-1])], axis=1)
 
 
-SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
-UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
+SAMPLES = 100  # keyframes whose errors are averaged; errors last for seconds or for the session
+UNUSUAL = 4.0  # times the usual variance of an attitude
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What holds for all of a session, also where it is solved in windows.
+    """Results that hold for all of a session, also where it is solved in windows.
 
     priors: before anything is held. constants_covariance (C, C). common_attitude (3, 3) rad^2: covariance in s of the
     mean error of all attitudes; zero where unknown. wheels_heading: variance, rad^2, of the heading of the kart by its
@@ -154,7 +153,7 @@ class Known:
     drives: bool
 
     def prior_sigma(self, name: str) -> Array:
-        """Sigma (size,) of a constant beforehand."""
+        """Prior sigma (size,) of a constant."""
         return np.asarray(np.minimum(self.priors.constants[name][1], self.noise.constants.get(name, np.inf)))
 
 
@@ -173,7 +172,7 @@ class Estimated:
 
 
 def known_from(solution: Solution, priors: Priors, start: Start, config: SessionConfig) -> Known:
-    """Return what the solution of a start shows of all of its session. priors: those before any constant was held."""
+    """Return the results of a start that hold for all of its session. priors: before any constant was held."""
     covariance, slip, first = solution.covariances.constants, priors.constants["slip"][1], COLUMNS["slip"].start
     uncertainty = noise_uncertainty(solution, slip)
     is_known = config.mounting.R_bs is None and covariance[first, first] < (0.5 * slip[0]) ** 2
@@ -191,7 +190,7 @@ def known_from(solution: Solution, priors: Priors, start: Start, config: Session
 
 
 def estimated(solution: Solution, known: Known) -> Estimated:
-    """Return what a graph that was solved in one piece says."""
+    """Return the result of a graph that was solved in one piece."""
     rows = rows_after(solution)
     return Estimated(
         solution.state,
@@ -219,7 +218,7 @@ def _fitted(state: State, unsampled: BoolArray | None) -> IntArray:
 def common_attitude(solution: Solution, unsampled: BoolArray | None) -> Array:
     """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes.
 
-    unsampled (K,): keyframes without samples, whose errors have nothing in common with those of others.
+    unsampled (K,): keyframes without samples.
     """
     attitude = solution.covariances.keyframes[:, ROTATION, ROTATION]
     fitted = _fitted(solution.state, unsampled)
@@ -233,18 +232,14 @@ def common_attitude(solution: Solution, unsampled: BoolArray | None) -> Array:
 
 
 def _usually_known(attitude: Array) -> IntArray:
-    """Keyframes whose attitude, of covariance (K, 3, 3), is known about as well as most are.
-
-    Before the first sample or in a gap nothing measures it: one such keyframe would outweigh all others in a mean.
-    """
+    """Keyframes whose attitude, of covariance (K, 3, 3), has about the usual variance, as outside of gaps."""
     variance = np.einsum("kii->k", attitude)
     return np.flatnonzero(variance <= UNUSUAL * np.median(variance))
 
 
 def attitude_variance(found: Estimated, R_bs: Array, unsampled: BoolArray | None) -> tuple[Array, Array]:
-    """Mean variance (3,) rad^2, about the axes of b, of attitudes, and the part (3,) of it that all have in common.
-
-    Of those that the mounting is fitted to. unsampled (K,): keyframes without samples.
+    """Mean variance (3,) rad^2, about the axes of b, of the attitudes that the mounting is fitted to, and its common
+    part (3,). unsampled (K,): keyframes without samples.
     """
     fitted = _fitted(found.state, unsampled)
     some = fitted[:: max(1, len(fitted) // (10 * SAMPLES))]

@@ -19,12 +19,11 @@ from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 
-# s^2, of the response: what an antenna half a metre above a box that leans by 2.2 mrad to a m/s^2 shows of its own
+# s^2, apparent response of an antenna half a metre above a logger that leans by 2.2 mrad per m/s^2
 ANTENNA_LEANS = 1.1e-3
-# m, by which a box on a steering wheel goes round the column, beside which an arm that stays has no meaning
+# m, motion of a logger on a steering wheel about the column
 ROUND_THE_COLUMN = 0.1
-# s, of what a filter before the sampling holds a sample back by beyond the mean that it is taken for: those that are
-# usual with sensors of loggers, of 41 to 184 Hz, do so by 0 to 4 ms, and no file says which it was
+# s, sigma of the delay of the filter before the sampling: usual ones of 41 to 184 Hz have 0 to 4 ms
 FILTERS = 1.5e-3
 
 
@@ -76,10 +75,7 @@ def _is_observable(found: Estimated, name: str) -> bool:
 
 
 def field_values(heading: Heading | None, found: Estimated) -> dict[str, Identified]:
-    """Return what was found of the magnetometer; nothing where it is not used.
-
-    Hard and soft iron only where the graph had to find them, and the kart turned about.
-    """
+    """Return the values of the magnetometer; nothing where it is not used. Iron only where it was fitted."""
     if heading is None:
         return {}
     column = COLUMNS["heading_offset"].start
@@ -111,7 +107,7 @@ def _of_the_receiver(found: Estimated, config: SessionConfig, moment: float) -> 
     if known.priors.held_s is not None:
         own = math.hypot(own, ANTENNA_LEANS)
     if state.geometry.is_steered:
-        # the arm keeps to the course, the antenna to the heading: between them is the sideslip, by the acceleration
+        # the arm follows the course, the antenna the heading: they differ by the sideslip
         slip = float(known.priors.constants["slip"][1][1])
         own = math.hypot(own, slip * float(np.linalg.norm(state.constants["lever_arm"])))
     observable = _is_observable(found, "velocity_response")
@@ -126,7 +122,6 @@ def _lever_arm(found: Estimated, mounting: FittedMounting, config: SessionConfig
     covariance_s = _covariance(found, "lever_arm")
     if known.priors.held_s is not None and known.drives:
         covariance_s = covariance_s + prior**2 * np.outer(known.priors.held_s, known.priors.held_s)
-    # an arm that keeps to the course is not in the axes of a box that turns beside it
     R_bs = geometry.level_axes_s if geometry.is_steered else mounting.R_bs
     arm_b, covariance = R_bs @ state.constants["lever_arm"], R_bs @ covariance_s @ R_bs.T
     beside = ROUND_THE_COLUMN if geometry.is_steered else 0.0
@@ -140,7 +135,7 @@ def _mounting(found: Estimated, mounting: FittedMounting, config: SessionConfig)
     """How the IMU is mounted in the kart."""
     stated, by_wheels = config.mounting.R_bs is not None, mounting.by_wheels
     common = np.diag(mounting.R_bs @ found.known.common_attitude @ mounting.R_bs.T)
-    # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
+    # misalignment of the axes in their case is not observable: as much as scale
     askew = found.known.prior_sigma("accel_scale")[0]
     variance = mounting.sigma**2 + askew**2 + common * [1.0, 1.0, 0.0 if by_wheels else 1.0]
     return Identified(

@@ -88,10 +88,9 @@ def build_trajectory(
 def _with_wander_shared(
     session: Session, found: Estimated, laps: LapRegistration | None
 ) -> tuple[Estimated, SlowErrors | None]:
-    """What was found, with the part of the fixes' wander in the path that is the wander of its Doppler velocities; and
-    the slow errors of both, where laps show them.
+    """The estimate with Doppler's part of the offset moved into the path, and the slow errors, where laps show them.
 
-    Not where corrections come and go: what such fixes are off by is not one process, and hardly Doppler's.
+    Unchanged where corrections come and go: then the slow error of the fixes is not one process.
     """
     fixes, state = session.gnss, found.state
     if not np.isfinite(fixes.velocity_n[:, 0]).any() or len(claims_of(fixes).renewed):
@@ -100,7 +99,7 @@ def _with_wander_shared(
     if seen is None:
         return found, None
     noise = found.known.noise
-    # over an outage the path goes with the samples, and what fixes do beside it then is not Doppler's
+    # over an outage the path follows the samples, not Doppler
     if laps is None or float(np.max(np.diff(seen.t))) > OUTAGE:
         return replace(found, state=share_wander(state, seen, unaided(seen, noise.offset_tau))), None
     known = usual_change(found.joint, float(seen.t[0]), float(seen.t[-1]), laps.time_of_lap)
@@ -140,17 +139,16 @@ def _fix_residuals(rows: Rows) -> FixResiduals:
     return FixResiduals(np.arange(len(rows.interval)), residual, rows.weight)
 
 
-SLOPE = 0.03  # rms of ground, as of a hilly road on record; karting tracks have less
+SLOPE = 0.03  # rms of the ground on a hilly road; karting tracks have less
 # m/s, forgotten in half a minute or later: two modules in one car have 0.020 each beside what their sigmas hold, one
 # beside the heights of RTK 0.018; of the level velocities of both it is 0.003 to 0.013
 SLOW_UPWARDS = 0.02
 
 
 def _left_of_attitude(found: Estimated, mounting: FittedMounting, unsampled: BoolArray | None) -> Array:
-    """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
+    """Share (3,), by axis of b, of the errors of attitude that remain in the attitude of the kart.
 
-    An error that all keyframes have in common, by the bias of an axis that nothing shows, is taken for a part of the
-    mounting: the box seems askew by so much more, and the kart is none the worse for it.
+    An error that all keyframes have in common becomes a part of the fitted mounting.
     unsampled (K,): keyframes without samples.
     """
     if not mounting.is_fitted:
@@ -165,8 +163,8 @@ def keyframes_of_kart(
 ) -> Keyframes:
     """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position.
 
-    unseen (3,) m^2: variance of the slow error of the fixes that no session shows. Upwards velocities are as unsure as
-    ground that is taken to be level where no fix has a height, and by the slow error of a receiver's own.
+    unseen (3,) m^2: variance of the slow error of the fixes that no session shows. Errors of upward velocity include
+    the slope of the ground where no fix has a height, or the slow error of the receiver's own.
     """
     state, antenna, known = found.state, found.uncertainty.antenna, found.known
     R, arms_n = state.R_ns, arm_axes(Between.at(state, state.t)) @ state.constants["lever_arm"]
@@ -208,7 +206,7 @@ def keyframes_of_kart(
 
 
 def widen(keyframes: Keyframes, swing: Array) -> None:
-    """Add what the box stands off the kart, (3,) rad rms about the axes of b, to the errors of the kart's attitude."""
+    """Add the rms angles (3,) rad about the axes of b between logger and kart to the errors of the kart's attitude."""
     for part in pieces(len(keyframes.t), TOGETHER):
         R_nb = keyframes.R_nb[part]
         keyframes.covariance[part, 0:3, 0:3] += (R_nb * swing**2) @ R_nb.transpose(0, 2, 1)

@@ -1,13 +1,11 @@
 """Sessions of hours, and those that samples cover a part of: solved in windows, with constants found from one part.
 
-Hours are solved in windows that overlap, one after the other, at a cost in memory that does not grow. Latencies, lever
-arm and all other constants are those of the busiest window, which is solved first with everything free, and are held in
-all windows, so that no seam can show in them; their covariance is in that of every window as it is in that of the
-whole. What remains at a seam is what the fixes beyond the overlap would have shown of the slow GPS offset, minutes
-away. No window reaches across a pause that time is cut out of: motion, biases and offset begin anew after it.
+Hours are solved in windows that overlap, one after the other, in constant memory. All constants are those of the
+busiest window, which is solved first with everything free, and are held in all windows, with their covariance. No
+window reaches across a pause that time is cut out of: motion, biases and offset begin anew after it.
 
-Fixes without samples may not determine the constants, nor how they scatter: along a motion that is only expected,
-latencies and lever arm would seem to be known, several of their sigmas from where they are.
+Fixes without samples must not determine the constants or their own scatter: along a motion prior latencies and lever
+arm would be off by several of their sigmas.
 """
 
 from collections.abc import Callable
@@ -29,7 +27,7 @@ from smoother.estimate.solvers.identify import Solution
 from smoother.trajectory import ResidualStatistics
 
 WINDOW = 1200.0  # s; about 0.4 GB while it is solved
-OVERLAP = 120.0  # s to either side: twice what the GPS offset remembers, which makes the seams
+OVERLAP = 120.0  # s to either side: twice the time constant of the GPS offset, which makes the seams
 BLEND = 20.0  # s over which the states of one window give way to those of the next
 FIXES = ("gps_position", "gps_velocity")
 STATES = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
@@ -140,11 +138,11 @@ def _margin(state: State) -> int:
 
 
 def _blended(pieces: list[_Piece]) -> State:
-    """States of all keyframes; around each seam those of one window give way to the next one's bit by bit."""
+    """States of all keyframes; around each seam those of two windows are blended."""
     parts = {name: np.concatenate([_of_core(piece, name) for piece in pieces]) for name in STATES}
     margin = _margin(pieces[0].state)
     for before, after in pairwise(pieces):
-        if after.begin == before.last:  # a pause: neither knows of the other's keyframes
+        if after.begin == before.last:  # a pause
             continue
         first, last = max(after.begin, before.first), min(before.last + margin, after.last)
         share = (np.arange(first, last) - first + 0.5) / (last - first)
