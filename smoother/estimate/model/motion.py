@@ -20,12 +20,12 @@ from smoother.fit.running import running_mean
 
 Spectrum = npt.NDArray[np.complex128]
 
-# Hz, of samples as noisy as m/s^2/sqrt(Hz): what a kart does above it is weaker than the noise. Its accelerations fall
-# with about the fifth power of the frequency; real karts' samples have 0.5 to 0.9, and are served best by 1 to 1.2 Hz
+# cut-off Hz at a density m/s^2/sqrt(Hz) of noise, its limits, and the power of frequency with which the spectrum of
+# accelerations falls; real karts have 0.5 to 0.9 m/s^2/sqrt(Hz), and the best cut-off is 1 to 1.2 Hz
 CUTOFF, AT_DENSITY, SLOWEST, QUICKEST, POWER = 1.5, 0.3, 1.0, 1.5, 5.0
 SMOOTHED = 0.4  # Hz over which power is averaged
 BEYOND = 10.0  # s by which both ends are mirrored
-EVEN = 64  # keyframes, whose multiples are long: Fourier transforms of other lengths can take ten times as long
+EVEN = 64  # keyframes; Fourier transforms of other lengths than its multiples can take ten times as long
 FINER = 4  # times the rate of the keyframes
 HEADED = 2.0  # m/s; below, the course is that between the times at which the kart last and next was faster
 
@@ -113,7 +113,7 @@ def _cutoff(accel: float) -> float:
 
 
 def _share(power: Array, noise: float) -> Array:
-    """Share of a signal's power (F,) that is motion: from where it is strongest on the less, the quicker it is."""
+    """Share of a signal's power (F,) that is motion, falling beyond its peak."""
     share = np.maximum(1.0 - noise / np.maximum(power, 1e-300), 0.0)
     peak = int(np.argmax(power))
     share[:peak] = 1.0

@@ -1,4 +1,4 @@
-"""How noisy the sensors of a session are, as its graph takes it."""
+"""Noise of the sensors in the graph."""
 
 import math
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.model.imu import BinnedImu
 
-MISSING_ACCEL = 8.0  # m/s^2 rms of what a kart may do unseen
+MISSING_ACCEL = 8.0  # m/s^2, rms error of an interpolated force
 MISSING_GYRO = 0.5  # rad/s likewise
-LASTING = 1.0  # s for which it does so
+LASTING = 1.0  # s, correlation time of both
 
 Shape = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 ROUND: Shape = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -22,24 +22,21 @@ class InertialNoise:
     """Densities of the graph's inertial factors: m/s^2/sqrt(Hz), rad/s/sqrt(Hz), and of the walks of the biases.
 
     accel and gyro are means over directions; accel_shape, gyro_shape are covariances (3, 3) in s over their squares, of
-    trace 3: a kart shakes more upwards than it does sideways.
+    trace 3.
     """
 
     accel: float
     gyro: float
     accel_bias_walk: float  # m/s^2/sqrt(s)
     gyro_bias_walk: float  # rad/s/sqrt(s)
-    accel_share: float = 0.0  # of the variance at mean vibration: this goes with the vibration, the rest stays
+    accel_share: float = 0.0  # of the variance at mean vibration, that follows the vibration
     gyro_share: float = 0.0
     accel_shape: Shape = ROUND
     gyro_shape: Shape = ROUND
 
 
 def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
-    """Densities (K-1,) of force and rate in each interval: the session's, and more where samples are lost.
-
-    It grows with vibration as the shares say.
-    """
+    """Densities (K-1,) of force and rate in each interval: by vibration, and greater where samples are missing."""
     accel, gyro = (
         density * np.sqrt(level)
         for density, level in zip((noise.accel, noise.gyro), levels(binned, noise), strict=True)
@@ -53,11 +50,9 @@ def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Arra
 def unseen_density(hole: Array) -> Array:
     """Density of the error of an interpolated motion of rms one, in holes of `hole` s.
 
-    A bend lasts: what is off adds up in proportion to the time, and in long holes to its root only. In holes shorter
-    than a bend the motion is nearly what it is beside them. White noise that adds up to the same at the end of the
-    hole is more than that on the way there. Means over holes of 0.1, 0.3, 1 and 3 s, interpolated as a line, are off by
-    0.04, 0.25, 0.35 and 0.35 rad/s (Adria's kart, worst axis) and by 0.01, 0.09, 0.24 and 0.25 (Lignano's); this says
-    0.05, 0.13, 0.32 and 0.39.
+    The error is correlated for the time of a bend. Means over holes of 0.1, 0.3, 1 and 3 s, interpolated as a line, are
+    off by 0.04, 0.25, 0.35 and 0.35 rad/s (Adria's kart, worst axis) and by 0.01, 0.09, 0.24 and 0.25 (Lignano's); this
+    gives 0.05, 0.13, 0.32 and 0.39.
     """
     return np.asarray(-np.expm1(-hole / LASTING) * np.sqrt(np.minimum(hole, 2.0 * LASTING)))
 
@@ -84,7 +79,7 @@ def levels(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
 def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
     """Densities (K-1,) as :func:`interval_noise`, in steps of 2 % from the session's: intervals share a handful."""
     accel, gyro = interval_noise(binned, noise)
-    steps = 50.0  # to a natural logarithm; 2 % of a sigma is nothing
+    steps = 50.0  # to a natural logarithm
     return (
         noise.accel * np.exp(np.round(steps * np.log(accel / noise.accel)) / steps),
         noise.gyro * np.exp(np.round(steps * np.log(gyro / noise.gyro)) / steps),
@@ -95,10 +90,10 @@ def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Ar
 class Noise:
     """inertial: densities of the samples and walks of the biases. position m, velocity m/s (3,): white noise of fixes,
     per axis of n. offset_sigma (3,) m, offset_tau s: the slow error of the fixes, a Gauss-Markov process; offset_most
-    (3,) m: what its sigma may be found to be at most. slip rad: sideslip in a hard corner, None without wheels.
-    constants: prior sigmas by name that are found with the noise. sigmas: of the rows of factors whose sigma is found
-    from their residuals alone, by the factor's name. offset_tau_spread: sigma of the logarithm of
-    offset_tau where the session shows it, infinite where it is the population's.
+    (3,) m: upper bound of its sigma. slip rad: sideslip in a hard corner, None without wheels. constants: prior sigmas
+    by name that are identified with the noise. sigmas: of the rows of factors whose sigma is identified from their
+    residuals alone, by the factor's name. offset_tau_spread: sigma of the logarithm of offset_tau where the session
+    shows it, infinite where it is the population's.
     """
 
     inertial: InertialNoise

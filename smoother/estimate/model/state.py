@@ -41,11 +41,11 @@ class Constant:
     unit: str = ""
 
 
-# Priors: latencies are what receivers do, the lever arm what fits on a kart; doppler_bias 0.01-0.05 m/s on real kart
-# logs; velocity_response: a low-pass of 0.1 s has 5e-3, recordings -6e-3 to 13e-3, loggers that smooth their speed up
-# to 0.2; slip: cars had -0.004 to -0.007 rad per m/s^2, -0.001 to -0.003 rad per m/s^3, and the rear axle 1.2 m behind
-# the box; of scales the data sheet's 3 % is the limit, not the spread. Of a wheel: circumferences that are entered by
-# hand; a tyre that slips by 5 % at 5 m/s^2; one that slides at 8 deg at 1 g; half the width of a kart.
+# Priors: latencies of receivers; lever arms on a kart; doppler_bias 0.01-0.05 m/s on real kart logs; velocity_response:
+# a low-pass of 0.1 s has 5e-3, recordings -6e-3 to 13e-3, loggers that smooth their speed up to 0.2; slip: cars had
+# -0.004 to -0.007 rad per m/s^2, -0.001 to -0.003 rad per m/s^3, and the rear axle 1.2 m behind the logger; scales: the
+# data sheet's limit is 3 %. Wheel: circumferences entered by hand; a tyre that slips by 5 % at 5 m/s^2, and slides by
+# 8 deg at 1 g; half the width of a kart.
 CONSTANTS = (
     Constant("position_latency", 1, "s: a position stamped t was true at t - latency", 0.25),
     Constant("velocity_latency", 1, "s: likewise of a Doppler velocity", 0.25),

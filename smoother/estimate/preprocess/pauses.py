@@ -126,7 +126,7 @@ def closed_up(session: Session, pauses: Pauses) -> Session:
 
 
 def _outside(pauses: Pauses, t: Array) -> list[slice]:
-    """Return which of the times t (N,) s, rising, are before, between and after the spans cut out: P + 1 slices."""
+    """Slices (P + 1) of times t (N,) s, rising, before, between and after the spans cut out."""
     edges = [0, *np.searchsorted(t, pauses.spans).ravel().tolist(), len(t)]
     return [slice(first, last) for first, last in zip(edges[0::2], edges[1::2], strict=True)]
 

@@ -37,12 +37,12 @@ from smoother.estimate.solvers.variance_components import (
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
 MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
-UNMOVED = 0.05  # of a sigma, likewise: what another noise moves the state by where that noise is of no matter
-NEAR, NEARER = 1.0, 0.3  # of a sigma, likewise: good enough for residuals and headings; to hold the constants at
-FREE = ("slip", "heading_offset")  # constants that what joins may still move
+UNMOVED = 0.05  # of a sigma, likewise: a step by which a change of noise is irrelevant
+NEAR, NEARER = 1.0, 0.3  # of a sigma, likewise: for residuals and headings; for held constants
+FREE = ("slip", "heading_offset")  # constants of the factors that join late
 HELD: tuple[str, ...] = ()  # constants that move in a step that holds all
-FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
-NEAR_ANGLE, STILL_ANGLE = 0.02, 3e-3  # rad, rms, of a step: near enough to judge by, and at rest
+FIXED = 1e-7  # sigma of held constants, in their units
+NEAR_ANGLE, STILL_ANGLE = 0.02, 3e-3  # rad, rms, of a step: near the solution, and converged
 ALIKE = 0.05  # logarithm of a density up to which samples need not be preintegrated again
 
 Progress = Callable[[float], None]

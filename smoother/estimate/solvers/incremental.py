@@ -39,11 +39,11 @@ from smoother.estimate.solvers.variance_components import SENSOR_SCALE, slip_sig
 PRIORS_OF_FIRST = 3  # pose, velocity and biases, before those of the constants
 AT_REST = 1e-3  # rad, rms, by which all measurements linearised anew still turn the keyframes
 CHUNK, WINDOW, CONTEXT = 10.0, 10.0, 20.0  # s: joins at once; is linearised again; is low-passed with it
-# rad, m, m/s, m/s^2, rad/s, beyond which GTSAM linearises a variable again. A pose's chart couples turn and shift, and
-# absolute position wanders by metres: with coarser ones the IMU factors tear. What is linear never is
+# rad, m, m/s, m/s^2, rad/s, beyond which GTSAM linearises a variable again; linear ones never. A pose's chart couples
+# rotation and translation, and positions change by metres: coarser thresholds make IMU factors inconsistent
 LINEAR = 1e6
 THRESHOLDS = {"x": [2e-3] * 3 + [0.1] * 3, "v": [0.1] * 3, "b": [0.1] * 3 + [0.01] * 3, "o": [LINEAR] * 3}
-# what the stream of a session finds itself; scale and misalignment of the sensors are no variables of a tree
+# constants that the stream of a session estimates; scale and misalignment of the sensors are no variables of a tree
 FOUND = tuple(name for name in KEYS if name not in SENSOR_SCALE)
 
 
@@ -54,11 +54,11 @@ def solve_as_stream(
     heading: Callable[[State], Heading | None] | None = None,
     free: tuple[str, ...] = (),
 ) -> Solution:
-    """Solve a session or a part of it as a stream, from the first keyframe of `problem` on. Of its others those count
-    that follow an interval without samples.
+    """Solve a session or a part of it as a stream, from the first keyframe of `problem` on, and its keyframes after
+    intervals without samples.
 
-    covariance (C, C): of the constants as they are in `problem`. heading: of a magnetometer, from the attitudes; None
-    where there is none. free: names of constants that are found anew, and with the slip its sigma; the others stay.
+    covariance (C, C): of the constants in `problem`. heading: of a magnetometer, from the attitudes; None without one.
+    free: names of constants that are estimated anew, and with the slip its sigma.
     """
     noise, slip = replace(noise, slip=None, constants={}), noise.slip
     held = held_at(problem, problem.state, free)
@@ -126,7 +126,7 @@ class Stream:
         """Add the keyframes up to `end`, exclusive, with the samples and measurements between them."""
         begin, self._end = self._end, end
         self._measure(begin, *self._predicted(begin))
-        # a prediction after an outage is off by more than a robust weight forgives: only now are weights known
+        # after an outage the prediction is too far off for robust weights, which are known only now
         self._measure(end, gtsam.NonlinearFactorGraph(), gtsam.Values())
 
     def settle(self, graph: Graph) -> None:
