@@ -1,11 +1,13 @@
-"""Solving a session: constants and noise from the part with most motion, then all of it, in one graph or in windows."""
+"""Solving a session: constants and noise from the busiest part, then all of it, in one graph or in windows; and its
+magnetometer, which is checked against attitudes without it.
+"""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.estimate.initial.compass import Compass
+from smoother.estimate.factors.constraints import heading_rows
 from smoother.estimate.initial.guess import (
     Start,
     busiest_part,
@@ -15,15 +17,16 @@ from smoother.estimate.initial.guess import (
     problem_of,
 )
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.model.heading import Heading
-from smoother.estimate.model.imu import HOLE
+from smoother.estimate.model.heading import Heading, heading_from_field
+from smoother.estimate.model.imu import HOLE, MOSTLY_MISSING, BinnedImu
+from smoother.estimate.model.state import State
 from smoother.estimate.output.estimated import Estimated, estimated, known_from
 from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
 from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held
 from smoother.estimate.solvers.incremental import FOUND, solve_as_stream
 from smoother.estimate.solvers.variance_components import USUAL_SLIP
-from smoother.samples import Problem as SessionProblem
-from smoother.samples import Session
+from smoother.fit.magnetic_model import session_field
+from smoother.samples import MagSamples, Problem, Session
 
 Say = Callable[[float], None]
 
@@ -35,7 +38,52 @@ class Solved:
     start: Start
     found: Estimated
     heading: Heading | None
-    problems: tuple[SessionProblem, ...]
+    problems: tuple[Problem, ...]
+
+
+UNUSED = Problem("magnetometer_unused", "the magnetometer disagrees with the gyro and the course; it was left out")
+
+
+@dataclass
+class Compass:
+    """The magnetometer of a session along `start`: its heading and problems, after a call of :meth:`heading`.
+
+    is_level: the mean of its headings is ignored, as where it is fitted to each window of a session anew.
+    """
+
+    session: Session
+    start: Start
+    is_level: bool = False
+    found: Heading | None = None
+    problems: tuple[Problem, ...] = field(default=())
+
+    def heading(self, state: State) -> Heading | None:
+        """Return the headings that can be used, by the attitudes of `state`."""
+        mag = self.session.mag
+        if mag is None or self.session.config.magnetometer.use is False:
+            return None
+        earth, self.problems = session_field(self.session)
+        mag = _readings_beside_samples(mag, self.start.binned)
+        found = heading_from_field(mag, state, earth.declination, earth.inclination, self.start.data.still)
+        if found is None:
+            self.problems = (*self.problems, UNUSED)
+        elif self.is_level:
+            rows = heading_rows(state, found.interval, found.field_s, found.field_yaw, found.sigma, has_offset=False)
+            found = replace(found, has_offset=False, field_yaw=found.field_yaw + float(np.median(rows.residual)))
+        self.found = found
+        return found
+
+
+def _readings_beside_samples(mag: MagSamples, binned: BinnedImu) -> MagSamples:
+    """The readings of the intervals that have inertial samples.
+
+    In a hole the tilt is uncertain, which a steep field amplifies in the heading, so that the iterations diverge.
+    """
+    if not np.any(binned.missing):
+        return mag
+    interval = np.clip(np.searchsorted(binned.t, mag.t) - 1, 0, len(binned.missing) - 1)
+    use = binned.missing[interval] < MOSTLY_MISSING
+    return replace(mag, t=mag.t[use], field_s=mag.field_s[use])
 
 
 def solve(session: Session, start: Start, options: GraphOptions, say: Say) -> Solved:

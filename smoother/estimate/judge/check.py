@@ -102,12 +102,7 @@ class Check:
         return tuple(finding.text for finding in self.findings if finding.level == "stop")
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Findings and measures of one sensor."""
-
-    findings: list[Finding]
-    measures: dict[str, float]
+Part = tuple[list[Finding], dict[str, float]]  # findings and measures of one sensor
 
 
 def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
@@ -120,8 +115,8 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
         parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu)]
     judged = (*_JUDGED_HERE, *USELESS) if gps_only else _JUDGED_HERE
     notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
-    findings = [finding for part in parts for finding in part.findings]
-    measures = {name: value for part in parts for name, value in part.measures.items()}
+    findings = [finding for found, _ in parts for finding in found]
+    measures = {name: value for _, measured in parts for name, value in measured.items()}
     return Check(raw.name, (*findings, *notes), measures, gps_only)
 
 
@@ -147,15 +142,15 @@ def _why_useless(problems: tuple[Problem, ...]) -> str:
     return "the motion sensor cannot be used" if is_there else NO_SENSOR
 
 
-def _only_gnss(problems: tuple[Problem, ...]) -> _Part:
+def _only_gnss(problems: tuple[Problem, ...]) -> Part:
     text = f"{_why_useless(problems)}; the GPS alone gives no roll, pitch or sideslip"
-    return _Part([Finding("warning", "IMU", text)], {})
+    return ([Finding("warning", "IMU", text)], {})
 
 
-def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
+def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> Part:
     if len(fixes) < 2:
         text = "no GPS fix; wait in the open until the receiver has found its satellites"
-        return _Part([Finding("stop", "GPS", text)], {"fixes": float(len(fixes))})
+        return ([Finding("stop", "GPS", text)], {"fixes": float(len(fixes))})
     lasts, limit = float(fixes.t[-1] - fixes.t[0]), max(limits.fix_gap, 2.5 * float(np.median(np.diff(fixes.t))))
     interval, without = _interval_and_gaps(fixes.t, limit)
     steps = np.diff(fixes.t)
@@ -172,7 +167,7 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
         "speed_known_share": float(np.mean(_have_speed(fixes))),
         "top_speed_mps": _top_speed(fixes),
     }
-    return _Part(list(_judge_gnss(measures, limits)), measures)
+    return (list(_judge_gnss(measures, limits)), measures)
 
 
 def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
@@ -199,9 +194,9 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
         yield Finding("warning", "GPS", "no speed and course in most fixes; switch on RMC or VTG sentences")
 
 
-def _check_imu(imu: RawImu | None, limits: CheckLimits, is_own: bool) -> _Part:
+def _check_imu(imu: RawImu | None, limits: CheckLimits, is_own: bool) -> Part:
     if imu is None or len(imu.t) < 2:
-        return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
+        return ([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
     lasts = float(imu.t[-1] - imu.t[0])
     interval, gaps = _samples_and_gaps(imu)
     force = _motion(imu.accel, imu.accel_scale, interval, imu.accel_full_scale, SMALLEST_ACCEL_RANGE)
@@ -219,7 +214,7 @@ def _check_imu(imu: RawImu | None, limits: CheckLimits, is_own: bool) -> _Part:
         "slow_turn_rate_dps": _rms(turn.slow - np.median(turn.slow, axis=0)) / DEG,
     }
     findings = [*_judge_imu_timing(measures, limits, is_own), *_judge_imu_values(measures, limits)]
-    return _Part([*findings, *_dead_axes(imu)], measures)
+    return ([*findings, *_dead_axes(imu)], measures)
 
 
 def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits, is_own: bool) -> Iterator[Finding]:
@@ -264,22 +259,22 @@ def _dead_axes(imu: RawImu) -> Iterator[Finding]:
         yield Finding("stop", "IMU", f"the {axis} axis of the {sensor} never changes; check the wiring")
 
 
-def _check_mag(mag: RawMag | None) -> _Part:
+def _check_mag(mag: RawMag | None) -> Part:
     if mag is None or len(mag.t) < 2:
-        return _Part([Finding("ok", "compass", "none; it is not needed")], {})
+        return ([Finding("ok", "compass", "none; it is not needed")], {})
     rate = 1.0 / float(np.median(np.diff(mag.t)))
-    return _Part([Finding("ok", "compass", f"{rate:.3g} samples a second")], {"mag_rate_hz": rate})
+    return ([Finding("ok", "compass", f"{rate:.3g} samples a second")], {"mag_rate_hz": rate})
 
 
-def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
+def _check_clocks(fixes: GnssFixes, imu: RawImu) -> Part:
     covered = float(np.mean((fixes.t >= imu.t[0] - 1.0) & (fixes.t <= imu.t[-1] + 1.0)))
     if covered > 0.95:
-        return _Part([], {"fixes_with_imu_share": covered})
+        return ([], {"fixes_with_imu_share": covered})
     text = f"the motion sensor covers only {100 * covered:.0f} % of the fixes"
-    return _Part([Finding("stop" if covered < 0.5 else "warning", "IMU", text)], {"fixes_with_imu_share": covered})
+    return ([Finding("stop" if covered < 0.5 else "warning", "IMU", text)], {"fixes_with_imu_share": covered})
 
 
-def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
+def _check_axes(raw: RawSession, imu: RawImu) -> Part:
     """Axes that no mounting explains, and a logger on the steering wheel, by the beginning of the recording."""
     found = aligned(imu, raw.gnss)
     problems = () if found is None else found.problems
@@ -290,7 +285,7 @@ def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
     if not findings and is_steered:
         text = "the logger turns with the steering wheel; roll, yaw and sideslip are the wheel's: mount it on the frame"
         findings.append(Finding("warning", "IMU", text))
-    return _Part(findings, {})
+    return (findings, {})
 
 
 def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:
