@@ -55,9 +55,9 @@ class GraphSmoother:
         """
         scale = clock_scale(session)
         true = session if scale == 1.0 else in_true_time(session, scale)
-        apart = disagreement(true)
-        found = self._estimate(in_agreement(true, apart))
-        found = with_problems(found, (*disagreement_problems(apart), *clock_problems(session)))
+        differences = disagreement(true)
+        found = self._estimate(in_agreement(true, differences))
+        found = with_problems(found, (*disagreement_problems(differences), *clock_problems(session)))
         return found if scale == 1.0 else in_session_time(found, scale)
 
     def _estimate(self, session: Session) -> Trajectory:

@@ -195,9 +195,9 @@ def _measurements(
     assert gnss.sigma_velocity is not None
     at_rest = session_standstill(session, gyro_bias=gyro_bias_s)
     standing = _all_between(session.imu.t, at_rest, gnss.t - MAX_LATENCY, gnss.t)
-    believed = confirmed_at_rest(gnss, session.origin, standing)
+    confirmed = confirmed_at_rest(gnss, session.origin, standing)
     scale = _relative(gnss.sigma_velocity)
-    scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, believed), scale)
+    scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, confirmed), scale)
     ground, claims = far_from_heights(_heights(session), t), claims_of(gnss)
     share, renewed = (None, None)
     if len(claims.renewed):
@@ -209,7 +209,7 @@ def _measurements(
     return Measurements(
         gnss.t,
         session.fix_position_n,
-        np.where((standing & ~believed)[:, None], np.nan, gnss.velocity_n),
+        np.where((standing & ~confirmed)[:, None], np.nan, gnss.velocity_n),
         path.position_scale,
         scale,
         np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:])),

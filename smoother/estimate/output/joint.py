@@ -50,31 +50,33 @@ class WithUnseen:
         lost = 0.5 * self.changed(np.abs(t[:, None] - t[None, :])) / (self.variance + most)
         return np.asarray(P * (1.0 - lost))
 
-    def changed(self, apart: Array) -> Array:
-        """Variance (N,) m^2 of the change of a position over `apart` (N,) s by the slow error of Doppler."""
-        return wander(apart) if self.errors is None else self.errors.parted(apart)
+    def changed(self, interval: Array) -> Array:
+        """Variance (N,) m^2 of the change of a position over `interval` (N,) s by the slow error of Doppler."""
+        return wander(interval) if self.errors is None else self.errors.parted(interval)
 
 
-def wander(apart: Array | float) -> Array:
-    """Variance, m^2 per axis, of the change of a position over `apart` s by the slow error of Doppler velocities.
+def wander(interval: Array | float) -> Array:
+    """Variance, m^2 per axis, of the change of a position over `interval` s by the slow error of Doppler velocities.
 
     Velocity forgets with rate c, position with rate a: p' = -a p + b, two first-order lags in a row (Gelb 1974, 3.8).
     """
     c, a = 1.0 / DOPPLER.tau, 1.0 / POSITION_TAU
     scale = DOPPLER.sigma**2 * c / (c**2 - a**2)
-    return np.asarray(2.0 * scale * (-np.expm1(-a * np.asarray(apart)) / a + np.expm1(-c * np.asarray(apart)) / c))
+    return np.asarray(
+        2.0 * scale * (-np.expm1(-a * np.asarray(interval)) / a + np.expm1(-c * np.asarray(interval)) / c)
+    )
 
 
-def usual_change(joint: JointPosition, start: float, end: float, apart: float) -> float:
-    """Return the usual variance per level axis, m^2, of a change over `apart` s between start and end, s.
+def usual_change(joint: JointPosition, start: float, end: float, interval: float) -> float:
+    """Return the usual variance per level axis, m^2, of a change over `interval` s between start and end, s.
 
     The median, since over an outage it is many times that. Zero where the time is too short.
     """
-    if end - start <= apart:
+    if end - start <= interval:
         return 0.0
-    at = np.repeat(np.linspace(start, end - apart, CHANGES), 2)
+    at = np.repeat(np.linspace(start, end - interval, CHANGES), 2)
     direction_n = np.tile(np.eye(3)[:2], (CHANGES, 1))
-    P = joint.covariance(np.concatenate([at, at + apart]), np.concatenate([direction_n, direction_n]))
+    P = joint.covariance(np.concatenate([at, at + interval]), np.concatenate([direction_n, direction_n]))
     n = len(at)
     return median(np.diag(P)[:n] + np.diag(P)[n:] - 2.0 * np.diagonal(P, n))
 

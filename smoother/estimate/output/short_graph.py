@@ -35,7 +35,7 @@ class ShortGraph:
     CombinedImuFactor has none.
 
     Variables are X(k) Pose3 of the sensor in n, V(k) m/s in n, B(k) biases and O(k) m, the slow error of the fixes, as
-    in docs/estimation.md. keys: those of the constants, by name; their priors are what all of the session says.
+    in docs/estimation.md. keys: those of the constants, by name; their priors are those of all of the session.
     """
 
     graph: Graph

@@ -291,8 +291,8 @@ def _against_utc(session: Session) -> tuple[float, float]:
 def _slope(x: Array, y: Array) -> float:
     """Median slope of all pairs of points with different x. Source: Sen 1968."""
     i, j = np.triu_indices(x.size, 1)
-    apart = np.abs(x[j] - x[i]) > 1.0
-    return float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart])) if apart.any() else 1.0
+    distinct = np.abs(x[j] - x[i]) > 1.0
+    return float(np.median((y[j] - y[i])[distinct] / (x[j] - x[i])[distinct])) if distinct.any() else 1.0
 
 
 def in_true_time(session: Session, scale: float) -> Session:

@@ -325,8 +325,8 @@ def _scatter(lag: Array, sigma: Array) -> Array:
     for i, known in enumerate(np.isfinite(sigma)):
         both = known[1:] & known[:-1]
         if np.count_nonzero(both) > 3:
-            apart = np.diff(lag[i])[both] / np.hypot(sigma[i, 1:], sigma[i, :-1])[both]
-            out[i] = max(1.0, MAD_TO_SIGMA * median(np.abs(apart)))
+            change = np.diff(lag[i])[both] / np.hypot(sigma[i, 1:], sigma[i, :-1])[both]
+            out[i] = max(1.0, MAD_TO_SIGMA * median(np.abs(change)))
     return out
 
 

@@ -344,7 +344,7 @@ def _offset_sigma(step: Step, covariances: Covariances, noise: Noise) -> Array:
 
 
 def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
-    """Sigma of the slip's process, halfway from what it was to what residuals say: the first step says it roughly.
+    """Sigma of the slip's process, halfway (geometric mean) from `sigma` to that of the residuals.
 
     Its start and its steps share their variance with bumps.
     """
