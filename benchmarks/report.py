@@ -18,7 +18,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from smoother import api
-from smoother.report.figures import Shown, save_figures
+from smoother.report.drawing import Shown
+from smoother.report.figures import save_figures
 from smoother.report.page import Report, write_page
 from smoother.samples import Session
 

@@ -268,7 +268,8 @@ def _write_figures(shown: Estimates | None, title: str, directory: Path, options
         for name in FIGURE_NAMES:
             (directory / FIGURES / f"{name}.png").unlink(missing_ok=True)
         return
-    from smoother.report.figures import Shown, save_figures
+    from smoother.report.drawing import Shown
+    from smoother.report.figures import save_figures
 
     drawn = Shown(shown.session, shown.smoothed, shown.baseline, title)
     save_figures(drawn, directory / FIGURES, lambda share: progress("figures", share))

@@ -19,6 +19,7 @@ from smoother.laps.sigma import are_real, significance_threshold
 from smoother.laps.stored import Stored
 from smoother.report.files import replacing
 from smoother.report.page_charts import grip, linked, picker, styled
+from smoother.report.page_corners import corner_name, lost_cell, usual_cell
 from smoother.report.page_data import (
     Document,
     channel_traces,
@@ -34,8 +35,19 @@ from smoother.report.page_data import (
     palette,
     stretches,
 )
-from smoother.report.page_html import DASH, Child, element, lap_clock, number, parted, row, settings, table
-from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell, usual_cell
+from smoother.report.page_html import (
+    DASH,
+    Child,
+    element,
+    lap_clock,
+    number,
+    parted,
+    row,
+    settings,
+    speed_cell,
+    table,
+    time_cell,
+)
 from smoother.words import counted
 
 MOST_LAPS = 6  # drawn of a session

@@ -6,7 +6,6 @@ outliers of the fixes or a diverged baseline do not shrink the picture.
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -14,50 +13,31 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Polygon
 
 from smoother.arrays import Array
-from smoother.frames import to_left
 from smoother.report import style
+from smoother.report.drawing import (
+    Limits,
+    Shown,
+    draw_close_up,
+    draw_line,
+    draw_tracks,
+    map_axes,
+    map_limits,
+    map_path,
+    metres_a_pixel,
+    time_axes,
+    time_axis,
+)
 from smoother.report.files import replacing
 from smoother.report.summary import fastest_row
-from smoother.samples import Session
-from smoother.trajectory import Trajectory
 from smoother.units import DEG, KMH, STANDARD_GRAVITY
 
 MAIN_FIGURE = "overview"
-Limits = tuple[float, float]  # of an axis, or of time
-CORNER_TIME = 4.0  # s that a close-up of a corner covers
-PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
 CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
-LEAST_SPEED = 2.0  # m/s; slower rows are not searched for a corner
 TYPICAL_OVER = 1.0  # s, over which a sigma that swings between keyframes is shown as one
 CELLS = 75  # along each side of the g-g diagram
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """Data of the figures; `heading` is the line above each of them."""
-
-    session: Session
-    smoothed: Trajectory
-    baseline: Trajectory | None
-    heading: str
-
-    @property
-    def start(self) -> float:
-        """Time of the first row, where the clock of the figures is zero."""
-        return float(self.smoothed.t[0])
-
-    @property
-    def seconds(self) -> float:
-        """Length of the session."""
-        return max(float(self.smoothed.t[-1] - self.smoothed.t[0]), 1e-3)
-
-    @property
-    def has_attitude(self) -> bool:
-        """False for a session without usable samples."""
-        return bool(np.isfinite(self.smoothed.R_nb).any())
 
 
 def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | None = None) -> list[Path]:
@@ -91,15 +71,15 @@ def overview(shown: Shown) -> Figure:
     left = grid[:, 0].subgridspec(2, 3, height_ratios=[40.0, 1.0], width_ratios=[1.0, 5.0, 1.0], hspace=0.2)
     whole, bar = figure.add_subplot(left[0, :]), figure.add_subplot(left[1, 1])
     close, speed_axes = (figure.add_subplot(grid[row, 1]) for row in (0, 1))
-    step = 4.0 * _metres_a_pixel(whole, *_limits(shown))
-    path = style.thinned_path(*_map(shown.smoothed), shown.smoothed.speed / KMH, step=step)
+    step = 4.0 * metres_a_pixel(whole, *map_limits(shown))
+    path = style.thinned_path(*map_path(shown.smoothed), shown.smoothed.speed / KMH, step=step)
     top, highest = float(shown.smoothed.speed[fastest_row(shown.smoothed)]) / KMH, float(np.max(path[2]))
     line = style.coloured_line(whole, *path, top=top, linewidth=1.8)
-    _frame(whole, *_limits(shown))
+    map_axes(whole, *map_limits(shown))
     beyond: Literal["max", "neither"] = "max" if highest > top else "neither"
     figure.colorbar(line, cax=bar, orientation="horizontal", label="speed (km/h)", extend=beyond)
     whole.set_title("Smoothed track, coloured by speed")
-    _draw_close_up(close, whole, shown)
+    draw_close_up(close, whole, shown)
     _draw_speed(speed_axes, shown)
     speed_axes.set_title("Speed")
     style.outside_legend(speed_axes)
@@ -111,9 +91,9 @@ def track(shown: Shown) -> Figure:
     figure = _figure(f"Track: {shown.heading}", 13.0, 7.0)
     grid = style.panels(figure, 1, 2)
     whole, close = (figure.add_subplot(grid[0, column]) for column in (0, 1))
-    _draw_tracks(whole, shown, 2.0, _limits(shown))
+    draw_tracks(whole, shown, 2.0, map_limits(shown))
     whole.set_title("Whole session")
-    _draw_close_up(close, whole, shown)
+    draw_close_up(close, whole, shown)
     return figure
 
 
@@ -148,8 +128,8 @@ def attitude(shown: Shown) -> Figure | None:
     for i, (axes, label) in enumerate(zip(rows, labels, strict=True)):
         if shown.baseline is not None:
             degrees = shown.baseline.euler[:, i] / DEG
-            _line(axes, shown, shown.baseline, degrees, baseline, style.BASELINE, width=0.7, wraps=True)
-        _line(axes, shown, shown.smoothed, angles[:, i], "smoothed", style.SMOOTHED, wraps=True)
+            draw_line(axes, shown, shown.baseline, degrees, baseline, style.BASELINE, width=0.7, wraps=True)
+        draw_line(axes, shown, shown.smoothed, angles[:, i], "smoothed", style.SMOOTHED, wraps=True)
         if shown.smoothed.sigmas is not None:
             sigma = shown.smoothed.sigmas.attitude[:, i] / DEG
             style.band(axes, shown.smoothed.t - shown.start, style.broken_at_wraps(angles[:, i]), sigma, style.SMOOTHED)
@@ -158,7 +138,7 @@ def attitude(shown: Shown) -> Figure | None:
     rows[2].set(yticks=[-180, -90, 0, 90, 180])
     rows[0].set_title("Band: two sigma")
     style.outside_legend(rows[0])
-    _time_axes(rows, shown)
+    time_axes(rows, shown)
     return figure
 
 
@@ -189,14 +169,14 @@ def accelerations(shown: Shown) -> Figure | None:
     limit, limit_up = (_limit_of_most(acceleration[:, axes]) for axes in ([0, 1], [2]))
     for i, label in enumerate(("forward (g)\nbraking -", "left (g)\nright turn -", "up (g)")):
         axes = figure.add_subplot(grid[i, 0])
-        _line(axes, shown, shown.smoothed, acceleration[:, i], "smoothed", style.AXES_COLOURS[i], width=0.8)
+        draw_line(axes, shown, shown.smoothed, acceleration[:, i], "smoothed", style.AXES_COLOURS[i], width=0.8)
         axes.set_ylabel(label)
         reach = limit if i < 2 else limit_up
         axes.set_ylim(-reach, reach)
         beyond = np.nanmax(np.abs(acceleration[:, i]), initial=0.0)
         if beyond > reach:
             axes.text(0.995, 0.97, f"spikes go on to {beyond:.2g} g", transform=axes.transAxes, **style.REMARK)
-        _time_axis(axes, shown, is_labelled=i == 2)
+        time_axis(axes, shown, is_labelled=i == 2)
     circle = figure.add_subplot(grid[:, 1])
     known = np.isfinite(acceleration).all(axis=1)
     seen = np.histogramdd(acceleration[known, :2] * [1.0, -1.0], bins=CELLS, range=[(-limit, limit)] * 2)[0]
@@ -228,7 +208,7 @@ def biases(shown: Shown) -> Figure | None:
             style.band(axes, t, bias[:, i] / unit, sigma[:, i] / unit, style.AXES_COLOURS[i])
             axes.set_ylabel(name)
             axes.set_title(title if i == 0 else "")
-            _time_axis(axes, shown, is_labelled=i == 2)
+            time_axis(axes, shown, is_labelled=i == 2)
     return figure
 
 
@@ -255,7 +235,7 @@ def residuals(shown: Shown) -> Figure | None:
         _distribution_beside(axes, *np.histogram(kept, bins=40, range=(-limit, limit)))
     rows[0].set_title("distribution", x=1.03)
     style.outside_legend(rows[0])
-    _time_axes(rows, shown)
+    time_axes(rows, shown)
     return figure
 
 
@@ -295,7 +275,7 @@ def sigma(shown: Shown) -> Figure | None:
         style.logarithmic(axes)
         axes.set_ylabel(label)
         style.outside_legend(axes)
-    _time_axes(rows, shown)
+    time_axes(rows, shown)
     return figure
 
 
@@ -324,98 +304,6 @@ def _figure(title: str, width: float, height: float) -> Figure:
     return style.new_figure(title, width, height, is_laid_out=False)
 
 
-def _map(trajectory: Trajectory) -> tuple[Array, Array]:
-    """East and north (m), for a map with north up."""
-    return -trajectory.position_n[:, 1], trajectory.position_n[:, 0]
-
-
-def _limits(shown: Shown) -> tuple[Limits, Limits]:
-    """What a map shows in x and y: all of the smoothed path."""
-    x, y = _map(shown.smoothed)
-    return style.limits_around(x, least=20.0), style.limits_around(y, least=20.0)
-
-
-def _frame(axes: Axes, x_limits: Limits, y_limits: Limits) -> None:
-    """Show at least these limits, more of one of them where the space on the page allows it."""
-    axes.set_xlim(x_limits, auto=True)  # auto: matplotlib may widen the limits to make metres alike
-    axes.set_ylim(y_limits, auto=True)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="east (m)", ylabel="north (m)")
-
-
-def _metres_a_pixel(axes: Axes, x_limits: Limits, y_limits: Limits) -> float:
-    """How much of a map within these limits one pixel shows."""
-    box = axes.get_window_extent()
-    return max((x_limits[1] - x_limits[0]) / box.width, (y_limits[1] - y_limits[0]) / box.height)
-
-
-def _draw_tracks(
-    axes: Axes, shown: Shown, size: float, limits: tuple[Limits, Limits], window: Limits = (-np.inf, np.inf)
-) -> None:
-    """Draw fixes, baseline and smoothed path within limits of place and of time."""
-    step = _metres_a_pixel(axes, *limits)
-
-    def within(t: Array, x: Array, y: Array) -> list[Array]:
-        i, j = np.searchsorted(t, window)
-        return style.thinned_path(x[i:j], y[i:j], step=step)
-
-    fixes_n, baseline, smoothed = shown.session.fix_position_n, shown.baseline, shown.smoothed
-    fixes = within(shown.session.gnss.t, -fixes_n[:, 1], fixes_n[:, 0])
-    axes.plot(*fixes, "o:", markersize=size, linewidth=0.4 * size - 0.6, mew=0, color=style.RAW, label="GPS fixes")
-    if baseline is not None:
-        path = within(baseline.t, *_map(baseline))
-        axes.plot(*path, "--", linewidth=1.0, color=style.BASELINE, label="baseline")
-    axes.plot(*within(smoothed.t, *_map(smoothed)), linewidth=1.6, color=style.SMOOTHED, label="smoothed")
-    _frame(axes, *limits)
-
-
-def _draw_close_up(axes: Axes, whole: Axes, shown: Shown) -> None:
-    """Draw one pass of the tightest corner with the legend above it, and its frame on the map of the whole."""
-    t, (x, y) = shown.smoothed.t, _map(shown.smoothed)
-    middle = float(t[_tightest(shown.smoothed)])
-    corner = np.abs(t - middle) <= 0.5 * CORNER_TIME
-    # a close-up is at least 20 m wide
-    x_limits, y_limits = (style.limits_around(line[corner], 0.15, least=20.0) for line in (x, y))
-    _draw_tracks(axes, shown, 4.5, (x_limits, y_limits), (middle - 0.5 * PASS_TIME, middle + 0.5 * PASS_TIME))
-    axes.set_title(f"Corner at {style.clock(middle - shown.start)}")
-    style.outside_legend(axes)
-    axes.apply_aspect()  # widens the limits until metres are alike: the frame is of what is seen
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    frame = Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=style.INK, linewidth=1.0)
-    whole.add_patch(frame)
-    whole.set_xlim(_holding(whole.get_xlim(), left, right), auto=True)
-    whole.set_ylim(_holding(whole.get_ylim(), bottom, top), auto=True)
-
-
-def _holding(limits: Limits, low: float, high: float) -> Limits:
-    """The limits, extended to contain a frame with a margin."""
-    space = 0.02 * (limits[1] - limits[0])
-    return min(limits[0], low - space), max(limits[1], high + space)
-
-
-def _tightest(trajectory: Trajectory) -> int:
-    """Row of the largest turn rate of the path at speed, else the middle one."""
-    velocity = trajectory.velocity_n[:, :2]
-    duration = max(float(trajectory.t[-1] - trajectory.t[0]), 0.1)
-    step = max(1, round(0.5 * len(trajectory) / duration))  # half a second
-    if len(trajectory) <= 2 * step:
-        return len(trajectory) // 2
-    before, here, after = velocity[: -2 * step], velocity[step:-step], velocity[2 * step :]
-    course_change = np.abs(np.arctan2(*_turn(before, after)))
-    speed = np.hypot(here[:, 0], here[:, 1])
-    driven = (
-        # of the usual speed; the way into the pits is no corner
-        speed > 0.5 * np.median(speed[speed > LEAST_SPEED]) if np.any(speed > LEAST_SPEED) else speed < 0.0
-    )
-    turning = np.where(driven & np.isfinite(course_change), course_change, 0.0)
-    return step + int(np.argmax(turning))
-
-
-def _turn(a: Array, b: Array) -> tuple[Array, Array]:
-    """Sine and cosine, times both lengths, of the angle from a to b, each (N, 2)."""
-    return to_left(a, b), np.sum(a * b, axis=1)
-
-
 def _limit_of_most(values: Array) -> float:
     """Symmetric axis limit that leaves out isolated high spikes."""
     known = np.abs(values[np.isfinite(values)])
@@ -436,8 +324,10 @@ def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = Non
         size = 2.5 if len(raw) < 5000 else 1.0  # beyond it their dots are drawn smaller
         axes.plot(fixes.t[here] - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
     if shown.baseline is not None:
-        _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--", part=part)
-    _line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED, part=part)
+        draw_line(
+            axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--", part=part
+        )
+    draw_line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED, part=part)
     axes.set_ylabel("speed (km/h)")
     top = float(shown.smoothed.speed[fastest_row(shown.smoothed)]) / KMH
     axes.set_ylim(-0.03 * top, 1.12 * top + 1.0)
@@ -451,45 +341,3 @@ def _near_fastest(shown: Shown) -> tuple[float, float]:
     middle = float(t[fastest_row(shown.smoothed)])
     first = float(np.clip(middle - 0.5 * CLOSE_UP_TIME, t[0], max(t[-1] - CLOSE_UP_TIME, t[0])))
     return first, first + min(CLOSE_UP_TIME, shown.seconds)
-
-
-def _line(
-    axes: Axes,
-    shown: Shown,
-    trajectory: Trajectory,
-    values: Array,
-    label: str,
-    colour: str,
-    *,
-    line: str = "-",
-    width: float = 1.2,
-    wraps: bool = False,
-    part: tuple[float, float] | None = None,
-) -> None:
-    rows = slice(None) if part is None else slice(*np.searchsorted(trajectory.t, part))
-    points = 2 * style.pixels(axes)
-    t, thin = style.thinned(trajectory.t[rows] - shown.start, values[rows], points=points)
-    if wraps:
-        broken = style.broken_at_wraps(thin)
-        # of the rows of an angle that are beside a jump across the half turn
-        if np.count_nonzero(np.isnan(broken)) > 0.25 * len(thin):  # whole turns within a pixel
-            # for each point of a line, where an angle turns too fast for one
-            some = slice(None, None, max(1, len(values[rows]) // (10 * points)))
-            t, thin, line = trajectory.t[rows][some] - shown.start, values[rows][some], ","
-        else:
-            thin = broken
-    axes.plot(t, thin, line, color=colour, label=label, linewidth=width)
-
-
-def _time_axes(rows: list[Axes], shown: Shown) -> None:
-    """Give axes one above the other the time of the session, labelled once."""
-    for axes in rows:
-        _time_axis(axes, shown, is_labelled=axes is rows[-1])
-
-
-def _time_axis(axes: Axes, shown: Shown, is_labelled: bool = True) -> None:
-    axes.set_xlim(0.0, shown.seconds)
-    style.clock_axis(axes, shown.seconds)
-    if not is_labelled:
-        axes.set_xlabel("")
-        axes.tick_params(labelbottom=False)

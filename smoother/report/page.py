@@ -13,6 +13,7 @@ from smoother.report import page_sections as words
 from smoother.report import page_trust
 from smoother.report.files import replacing
 from smoother.report.page_charts import figure, grip, linked, picker, styled
+from smoother.report.page_corners import corner_section
 from smoother.report.page_data import MOST_DRAWN, Document, Numbers, drawn_laps, lap_name, page_data, stretches
 from smoother.report.page_html import element
 from smoother.report.page_sections import Report as Report
@@ -73,7 +74,7 @@ def _charts(content: words.PageContent, numbers: Document) -> list[Element]:
         *_hidden_laps_note(content),
         _picker(content),
         linked(numbers),
-        *words.corner_section(content),
+        *corner_section(content.laps),
         element("h2", "Grip: accelerations forward and sideways", id="circle-title"),
         grip(_grip_caption(content)),
         element("h2", _comparison_title(content), id="compared"),

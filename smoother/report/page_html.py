@@ -14,7 +14,10 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from xml.etree.ElementTree import Element, tostring
 
+import numpy as np
+
 from smoother.laps import clock
+from smoother.units import KMH
 
 _JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 Child = Element | str | None
@@ -140,3 +143,28 @@ def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
 def card(name: str, value: Child, below: Child) -> Element:
     """One of the main results of a page: its name, its value, and a line below it."""
     return element("div", element("dt", name), element("dd", value, element("small", below)), class_="card")
+
+
+def speed_cell(speed: float) -> Element:
+    """A cell with a speed m/s, which the script shows in the chosen unit."""
+    if not np.isfinite(speed):
+        return element("td", DASH)
+    return element("td", number(speed / KMH, 1), data_mps=f"{speed:.4f}")
+
+
+def speed_span(speed: float, digits: int = 1) -> Element:
+    """A speed m/s within a text, in the chosen unit, which :func:`speed_unit` shows."""
+    more = {} if digits == 1 else {"data_digits": str(digits)}
+    return element("span", number(speed / KMH, digits), data_mps=f"{speed:.5f}", **more)
+
+
+def speed_unit() -> Element:
+    """The chosen unit of speed."""
+    return element("span", "km/h", class_="speed-unit")
+
+
+def time_cell(time: float, sigma: float) -> Element:
+    """A cell with a time and its sigma, s."""
+    if not np.isfinite(time):
+        return element("td", DASH)
+    return element("td", lap_clock(time), element("small", f" ± {number(sigma, 3)}" if np.isfinite(sigma) else ""))

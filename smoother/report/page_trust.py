@@ -9,8 +9,8 @@ from smoother.arrays import Array
 from smoother.laps.results import LapAnalysis
 from smoother.laps.sigma import least_significant
 from smoother.problems import remedy
-from smoother.report.page_html import DASH, Child, element, number, row, table
-from smoother.report.page_sections import PageContent, speed_span, speed_unit
+from smoother.report.page_html import DASH, Child, element, number, row, speed_span, speed_unit, table
+from smoother.report.page_sections import PageContent
 from smoother.report.summary import is_reported, known_axes, mounting_angles, reported_problems, smoothing_time
 from smoother.samples import Problem
 from smoother.trajectory import WHITENED, Identified

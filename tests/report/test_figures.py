@@ -15,7 +15,8 @@ from matplotlib.patches import Rectangle
 from smoother.cli.directories import FIGURE_NAMES
 from smoother.frames import rotation_from_euler
 from smoother.report import figures, style
-from smoother.report.figures import FIGURES, Shown, overview, save_figures
+from smoother.report.drawing import Shown
+from smoother.report.figures import FIGURES, overview, save_figures
 from smoother.samples import Session
 from smoother.trajectory import EstimateReport, Trajectory
 from smoother.units import STANDARD_GRAVITY
