@@ -150,6 +150,21 @@ class Channel:
         inside = (self.t > begin) & (self.t < end)
         return replace(self, t=self.t[inside], values=self.values[inside])
 
+    def at(self, t: Array) -> Array:
+        """Values (M,) at times t (M,) s: between neighbours, of a gear or a switch the last one; NaN in gaps."""
+        if len(self.t) < 2:
+            return np.full(t.shape, np.nan)
+        steps = np.diff(self.t)
+        longest = max(2.5 * median(steps), 1.5)  # 2.5 usual steps; intervals under 1.5 s are no gap in any channel
+        after = np.clip(np.searchsorted(self.t, t, side="right"), 1, len(self.t) - 1)
+        # at most 12 different whole values: a gear or a switch, which is not interpolated
+        if np.unique(self.values).size <= 12 and np.all(self.values == np.round(self.values)):
+            values = self.values[np.where(t >= self.t[-1], after, after - 1)]
+        else:
+            values = np.interp(t, self.t, self.values)
+        known = (steps[after - 1] <= longest) & (t >= self.t[0]) & (t <= self.t[-1])
+        return np.where(known, values, np.nan)
+
 
 @dataclass(frozen=True, eq=False)
 class ImuSamples:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
+from smoother.cli.directories import require_no_recording
 from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS
 from smoother.cli.lapping import documents_of, line_option, stated_for, units_option
 from smoother.cli.output import (
@@ -21,7 +22,6 @@ from smoother.cli.output import (
     progress_on_terminal,
     warn,
 )
-from smoother.cli.overwriting import require_no_recording
 from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
 from smoother.errors import UsageError

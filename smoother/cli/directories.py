@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -170,3 +171,22 @@ def _created(directory: Path) -> Path:
     except OSError as error:
         raise UsageError(str(unwritable(directory, error))) from error
     return directory
+
+
+def require_no_recording(out: Path, sessions: Sequence[Path]) -> None:
+    """Raise UsageError where the file `out` belongs to a session, or holds a recording, or results.
+
+    An earlier export may be overwritten.
+    """
+    if not out.is_file():
+        return
+    remedy = "name another file with --out"
+    from smoother.session.inputs import inputs_of, is_recording
+
+    for session in sessions:
+        if any(file.samefile(out) for file in inputs_of(session) if file.exists()):
+            raise UsageError(f"{out}: belongs to the session {session} and would be lost; {remedy}")
+    if out.name in (*RESULT_FILES, BASELINE, LAPS) and holds_results(out.parent):
+        raise UsageError(f"{out}: is one of the results and would be lost; {remedy}")
+    if is_recording(out):
+        raise UsageError(f"{out}: holds a recording that would be lost; {remedy}")

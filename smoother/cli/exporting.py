@@ -9,9 +9,8 @@ import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, recording_option, require_sessions
 from smoother.cli.card import one
-from smoother.cli.directories import unwritable
+from smoother.cli.directories import require_no_recording, unwritable
 from smoother.cli.output import print_line, print_pairs, progress_on_terminal, warn
-from smoother.cli.overwriting import require_no_recording
 from smoother.cli.results import results_of
 from smoother.errors import UsageError
 

@@ -20,7 +20,6 @@ from smoother.documents import replacing as replacing
 from smoother.estimate.preprocess.clock import clock_of_fixes
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.laps.document import LapColumns
-from smoother.report.channels import channel_at
 from smoother.samples import Channel, Session
 from smoother.trajectory import FixResiduals, Sigmas, Trajectory
 from smoother.units import DEG
@@ -50,7 +49,7 @@ def write_trajectory(
             of_part = None if laps is None else (laps[0][part], laps[1][part])
             rows = trajectory.rows(part)
             table = trajectory_table(rows, origin, clock, of_part)
-            logged = {channel.name: _rounded(channel_at(channel, rows.t), DIGITS) for channel in channels}
+            logged = {channel.name: _rounded(channel.at(rows.t), DIGITS) for channel in channels}
             table = table.with_columns(pl.Series(name, values) for name, values in logged.items())
             table.write_csv(file, include_header=part.start in (None, 0))
             release(trajectory)

@@ -16,7 +16,6 @@ from smoother.arrays import Array, IntArray
 from smoother.laps.path import level_acceleration
 from smoother.laps.results import Lap, LapAnalysis, Line, ReferenceLine, Traces
 from smoother.laps.top_speed import reliable_rows, speed_sigma
-from smoother.report.channels import channel_at
 from smoother.report.summary import fastest_row
 from smoother.samples import Channel, Session
 from smoother.trajectory import Trajectory
@@ -158,7 +157,7 @@ def trace_of(name: str) -> str:
 
 def channel_traces(channels: Sequence[Channel], t: Array) -> dict[str, Array]:
     """Return the channels at times t of any shape, NaN in their gaps, by name."""
-    return {trace_of(channel.name): channel_at(channel, np.nan_to_num(t, nan=-np.inf)) for channel in channels}
+    return {trace_of(channel.name): channel.at(np.nan_to_num(t, nan=-np.inf)) for channel in channels}
 
 
 def grid_columns(smoothed: Trajectory, traces: Traces) -> IntArray:

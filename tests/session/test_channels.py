@@ -7,7 +7,6 @@ import polars as pl
 import pytest
 
 from smoother.cli.main import run
-from smoother.report.channels import channel_at
 from smoother.samples import Channel
 from smoother.session.load import load_raw
 from smoother.session.readers.channels import column_name
@@ -76,9 +75,9 @@ def test_columns_of_another_loggers_table_are_channels(tmp_path: Path) -> None:
 
 def test_holes_are_not_interpolated_and_a_gear_has_no_values_between() -> None:
     t = np.concatenate([np.arange(0.0, 10.0, 0.1), np.arange(20.0, 30.0, 0.1)])
-    smooth = channel_at(Channel("rpm", "rpm", t, 100.0 * t), np.array([-1.0, 5.05, 15.0, 25.05, 31.0]))
+    smooth = Channel("rpm", "rpm", t, 100.0 * t).at(np.array([-1.0, 5.05, 15.0, 25.05, 31.0]))
     np.testing.assert_allclose(smooth, [np.nan, 505.0, np.nan, 2505.0, np.nan])
-    gear = channel_at(Channel("gear", "", t, np.where(t < 5.0, 1.0, 2.0)), np.array([4.95, 5.05, 29.9]))
+    gear = Channel("gear", "", t, np.where(t < 5.0, 1.0, 2.0)).at(np.array([4.95, 5.05, 29.9]))
     np.testing.assert_allclose(gear, [1.0, 2.0, 2.0])
 
 
