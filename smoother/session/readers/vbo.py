@@ -30,8 +30,7 @@ from smoother.session.readers.foreign import (
 from smoother.session.readers.motion import imu_of
 from smoother.session.readers.names import SPEED_UNITS
 from smoother.session.readers.sheet import Column, Sheet, sheet_of
-from smoother.session.readers.times import read_moments, time_of_day
-from smoother.session.rows import over_midnight
+from smoother.session.readers.times import read_moments, running, time_of_day
 from smoother.session.tables import Rows, read_rows
 from smoother.session.text import text_head
 from smoother.units import DAY
@@ -68,7 +67,7 @@ IMU_NAMES = (  # three accelerations, three rates of rotation: triples known to 
 VBOX_NAMES = ("x_accel", "y_accel", "z_accel", "rollrate", "pitchrate", "yawrate")  # axes of which are not known
 NEEDED = ("time", "lat", "lon")
 SATELLITE_BITS = 64  # and above: brake trigger and DGPS
-FEW_NO_TIMES, MOST_NO_TIMES = 0.1, 0.25  # share; in HHMMSS none is, and of seconds of the day 40 % and more look so
+MOST_NO_TIMES = 0.1  # share; in HHMMSS none is, and of seconds of the day 40 % and more
 MINUTES = 1.0 / 60.0  # of a degree
 OTHER_FORMS = {  # than minutes, to the west: factors, and text
     (1.0, -1.0): "longitudes count to the east",
@@ -133,7 +132,7 @@ def read_vbo(path: Path) -> ForeignReading:
     columns = {
         key: rows.columns[names.index(name)].values if name is not None else unknown for key, name in found.items()
     }
-    utc, time_problems = _utc(path.name, columns["time"], rows.columns[time].cells)
+    utc = _utc(path.name, columns["time"], rows.columns[time].cells)
     t = seconds_since_first(utc)
     gnss, problems = _fixes(path.name, head, columns, t, utc)
     imu, imu_problems = imu_of(path.name, [(_inertial(path.name, head, names, rows), t)])
@@ -142,7 +141,7 @@ def read_vbo(path: Path) -> ForeignReading:
         imu_problems = [Problem(IMU_AXES_UNKNOWN, text)]
     used = [name for name in found.values() if name is not None and name != found["time"]]
     unread = [unread_note(path.name, name, rows.columns[names.index(name)].unread) for name in used]
-    problems = [*rows.problems, *(note for note in unread if note), *time_problems, *imu_problems, *problems]
+    problems = [*rows.problems, *(note for note in unread if note), *imu_problems, *problems]
     return ForeignReading(gnss, problems, imu)
 
 
@@ -189,29 +188,20 @@ def _unique(names: Sequence[str]) -> list[str]:
     return [name if lower.index(name) == i else f"{name} #{i}" for i, name in enumerate(lower)]
 
 
-def _utc(file: str, clock: Array, cells: pl.Series | None) -> tuple[Array, list[Problem]]:
-    """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number, NaN where that is no time.
+def _utc(file: str, clock: Array, cells: pl.Series | None) -> Array:
+    """Seconds (N,) since midnight of the first day, NaN where unknown, by numbers HHMMSS.sss or cells HH:MM:SS.
 
-    Where seconds beyond 60 show that they are seconds of the day, they are read so, and reported. Raises SessionError
-    where many are neither.
+    Raises SessionError where many are neither.
     """
-    known = np.isfinite(clock)
     if cells is not None and cells.str.contains(":", literal=True).any():
         moments = read_moments(cells, "")
-        return (clock if moments is None else moments.seconds), []
-    if not known.any():
-        return clock, []
-    of_day, problems = time_of_day(clock), []
-    no_time = np.count_nonzero(known & np.isnan(of_day)) / np.count_nonzero(known)
-    if no_time > FEW_NO_TIMES and np.all((clock[known] >= 0.0) & (clock[known] <= DAY)):
-        of_day = np.round(clock, 6)
-        problems = [Problem("gps_seconds_of_day", f"{file}: its times are seconds of the day; read so")]
-    elif no_time > MOST_NO_TIMES:
-        example = float(clock[known & np.isnan(of_day)][0])
-        raise SessionError(f"{file}: {no_time:.0%} of its times, as {example:.10g}, are no UTC (HHMMSS.sss)")
-    good = np.isfinite(of_day)
-    of_day[good] = over_midnight(of_day[good]) if good.any() else of_day[good]
-    return of_day, problems
+        return clock if moments is None else moments.seconds
+    of_day = time_of_day(clock)
+    none = np.isfinite(clock) & np.isnan(of_day)
+    if np.count_nonzero(none) > MOST_NO_TIMES * np.count_nonzero(np.isfinite(clock)):
+        share, example = np.count_nonzero(none) / np.count_nonzero(np.isfinite(clock)), float(clock[none][0])
+        raise SessionError(f"{file}: {share:.0%} of its times, as {example:.10g}, are no UTC (HHMMSS.sss)")
+    return running(of_day)
 
 
 def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Array) -> tuple[GnssFixes, list[Problem]]:
