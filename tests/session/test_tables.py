@@ -176,3 +176,45 @@ def test_a_name_is_no_pattern_that_another_file_may_match(
         (Path(folder) / "gps.csv").write_text(f"t_s,x\n{value},{value}\n" * 1)
     table = read_table(Path(name) / "gps.csv", ("t_s", "x"))
     assert table.column("x").tolist() == [1.0]
+
+
+def test_a_cell_in_quotation_marks_may_hold_separators_line_ends_and_marks(tmp_path: Path) -> None:
+    path = tmp_path / "gps.csv"
+    rows = [f'{i},"a, ""b""\nof {i}",{2 * i}' for i in range(30)]
+    path.write_text("t_s,note,x\n" + "\n".join(rows) + "\n")
+    assert numbers(path) == [[i, 2 * i] for i in range(30)]
+
+
+def test_a_unit_in_all_cells_of_a_column_is_not_taken_for_that_of_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "gps.csv"
+    path.write_text("t_s,x\n" + "".join(f"{i},{i}.5 km/h\n" for i in range(30)))
+    table = read_table(path, ("t_s",), ("x",))
+    assert np.isnan(table.column("x")).all() and table.unread == {"x": 30}
+
+
+def test_rows_with_too_many_or_too_few_cells_and_comments_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "gps.csv"
+    rows = [f"{i},{2 * i}" for i in range(60)]
+    rows[10], rows[20], rows[30], rows[40] = "10", "20,40,41", "# lap 2, 30 s", " "
+    path.write_text("t_s,x\n" + "\n".join(rows) + "\n")
+    table = read_table(path, ("t_s", "x"))
+    assert table.column("t_s").tolist() == [i for i in range(60) if i not in (10, 20, 30, 40)]
+    assert [(problem.code, problem.count) for problem in table.problems] == [("gps_row_damaged", 2)]
+
+
+@pytest.mark.parametrize("block", [700, 1 << 20])
+def test_a_long_packed_or_wide_table_is_read_as_a_plain_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    monkeypatch.setattr(text, "BLOCK_BYTES", block)
+    content = TABLE.replace("\n", "\r\n")
+    wanted = [[i / 4, -i] for i in range(40)]
+    for data in (
+        content.encode(),
+        content.encode("utf-16"),
+        gzip.compress(content.encode()),
+        content.encode() + bytes(900),
+    ):
+        path = tmp_path / ("gps.csv.gz" if data.startswith(b"\x1f") else "gps.csv")
+        path.write_bytes(data)
+        assert numbers(path) == wanted
