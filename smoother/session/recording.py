@@ -5,6 +5,7 @@ Sentences name the file that values came from. What format it has, nothing here 
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from smoother.samples import IMU_AXES_UNKNOWN, IMU_INCOMPLETE, GnssFixes, Proble
 from smoother.session.checks.imu import IMU_CHECKS, USABLE
 from smoother.session.checks.table import run
 from smoother.session.checks.times import GAPS, TOGETHER, WHEEL_CHECKS
-from smoother.session.clock import TimeBase, describe_time_base, regularize, true_fix_times
+from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import SessionFiles
 from smoother.session.recorded import Recording
 from smoother.session.settings import load_settings
@@ -40,7 +41,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     recording = replace(recording, gnss=_without_fillers(recording.gnss))
     _require_fixes(recording)
     problems = [*recording.problems, *_missing_heights(recording)]
-    for step in (_with_even_samples, _with_even_fixes, _checked):
+    for step in (_with_even_samples, _with_even_fixes, partial(run, IMU_CHECKS)):
         recording, said = step(recording)
         problems += said
     if recording.imu is not None:
@@ -111,21 +112,15 @@ def _with_even_samples(recording: Recording) -> tuple[Recording, list[Problem]]:
         text = "no IMU that can be used" if is_there else "no IMU recorded"
         return recording, [Problem("imu_missing", f"{text}: smoothed from GPS alone")]
     if len(imu.t) == 0:
-        return replace(recording, imu=None), [_no_samples(recording)]
+        text = f"{recording.imu_file}: no usable sample: smoothed from GPS alone"
+        return replace(recording, imu=None), [Problem("imu_missing", text)]
     base = regularize(imu.t)
     imu = replace(imu, t=kept(base.t), longest_step=base.longest_step)
     release(imu)
     recording, problems = run(USABLE, replace(recording, imu=imu))
     release(imu)
-    return recording, [*problems, *_of_time_base(recording, base)]
-
-
-def _of_time_base(recording: Recording, base: TimeBase) -> list[Problem]:
-    return [] if recording.imu is None else describe_time_base(base, "imu", recording.imu_file)
-
-
-def _no_samples(recording: Recording) -> Problem:
-    return Problem("imu_missing", f"{recording.imu_file}: no usable sample: smoothed from GPS alone")
+    of_times = [] if recording.imu is None else describe_time_base(base, "imu", recording.imu_file)
+    return recording, [*problems, *of_times]
 
 
 def _with_even_fixes(recording: Recording) -> tuple[Recording, list[Problem]]:
@@ -136,10 +131,6 @@ def _with_even_fixes(recording: Recording) -> tuple[Recording, list[Problem]]:
     if not by_utc and len(gnss) >= FEWEST_FIXES_FOR_CLOCK:
         t = regularize(gnss.t).t
     return run(GAPS, replace(recording, gnss=replace(gnss, t=t)))
-
-
-def _checked(recording: Recording) -> tuple[Recording, list[Problem]]:
-    return run(IMU_CHECKS, recording)
 
 
 def _without_filter_delay(recording: Recording, delay: float | None) -> tuple[Recording, list[Problem]]:
