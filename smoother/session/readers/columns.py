@@ -3,8 +3,8 @@
 Every reader of another program's files ends here: tables, folders of a phone's sensors, logs of cameras and loggers.
 """
 
+import contextlib
 import datetime as dt
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -46,7 +46,7 @@ NUMBERS = (  # said where they hold words
     *("latitude", "longitude", "speed", "course", "altitude", "accuracy", "satellites", "hdop"),
     *("ax", "ay", "az", "gx", "gy", "gz"),
 )
-START = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,]\d*)?)?\s*([ap]m)?", re.IGNORECASE)
+CLOCK_FORMS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")  # of the start of a log
 STARTS = (("date", "time"), ("log date", "log time"))  # of the log, as lines above the names tell them
 OWN_UTC = "time is utc."  # as this program's own export says
 
@@ -346,13 +346,7 @@ def _start(file: str, about: dict[str, str]) -> tuple[float | None, list[Problem
 
 
 def _clock(text: str) -> dt.time | None:
-    if (match := START.fullmatch(text.strip())) is None:
-        return None
-    hour, half = int(match[1]), (match[4] or "").lower()
-    if half and not 1 <= hour <= 12:
-        return None
-    hour = hour % 12 + 12 * (half == "pm") if half else hour
-    try:
-        return dt.time(hour, int(match[2]), int(match[3] or 0))
-    except ValueError:
-        return None
+    for form in CLOCK_FORMS:
+        with contextlib.suppress(ValueError):
+            return dt.datetime.strptime(text.strip().replace(",", "."), form).time().replace(microsecond=0)
+    return None
