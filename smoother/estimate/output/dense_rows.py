@@ -12,7 +12,7 @@ from smoother.estimate.factors.gnss import arm_axes
 from smoother.estimate.factors.rows import Between
 from smoother.estimate.model.imu import BinnedImu, DensePath, at_times, corrected, dense_path, motion_at
 from smoother.estimate.model.motion import course_of
-from smoother.estimate.model.noise import InertialNoise
+from smoother.estimate.model.noise import InertialNoise, interval_noise
 from smoother.estimate.model.state import State
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.mounting import FittedMounting
@@ -30,6 +30,7 @@ from smoother.units import ANY_ANGLE
 
 MARGIN = 20.0  # s of the path around the rows that are made together: longer than the filter reaches
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
+LEAST_BETWEEN = 0.25  # least variance between two keyframes, in parts of the smaller of theirs
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +149,9 @@ class DenseRows:
         self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, at_times(near.path, near.acceleration_n, t))
         self.angular_rate_b[part] = np.einsum("nji,nj->ni", R_nb, rate_n)
         known, keys = found.uncertainty, near.keys
+        bend = known.bend[keys] + _between_samples(near.binned, source.noise, state.R_ns)
         covariance, track = keyframes.covariance[keys], known.track[keys]
-        for name, values in _sigmas(t, state.t, covariance, track, R_nb, velocity_n).items():
+        for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, velocity_n).items():
             self.sigmas[name][part] = values
 
     def add_time_uncertainty(self, part: slice, sigma: float, of_attitude: float = 0.0) -> None:
@@ -191,11 +193,13 @@ def parts_of(t: Array, pauses: Pauses) -> Iterator[slice]:
                 yield slice(stretch.start + part.start, stretch.start + part.stop)
 
 
-def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, velocity_n: Array) -> dict[str, Array]:
-    """Sigmas at t (n,), fields of :class:`Sigmas`, by linear interpolation of variances between keyframes at `at` (K,).
+def _sigmas(
+    t: Array, at: Array, covariance: Array, track: Array, bend: Array, R_nb: Array, velocity_n: Array
+) -> dict[str, Array]:
+    """Sigmas at t (n,), fields of :class:`Sigmas`, between keyframes at `at` (K,), which are closer than these change.
 
-    covariance (K, 9, 9) of the keyframes; track (K, 2) m^2, see :func:`track_variance`; R_nb (n, 3, 3) and velocity_n
-    (n, 3) at t.
+    covariance (K, 9, 9) of the keyframes; track (K, 2) m^2, see :func:`track_variance`; bend (K, 3, 3) m^2/s^2: added
+    to the covariance of velocity halfway to the next keyframe; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
     """
     i = np.clip(np.searchsorted(at, t) - 1, 0, len(at) - 2)
     later = (t - at[i]) / (at[i + 1] - at[i])
@@ -206,11 +210,19 @@ def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, v
         share = later.reshape(-1, *[1] * (before.ndim - 1))
         return np.asarray(before + share * (values[i + 1] - before))
 
+    bent = 4.0 * later * (1.0 - later)
     diagonal = between(np.einsum("kii->ki", covariance)[:, 3:9])
+    diagonal[:, 0:3] += bent[:, None] * np.einsum("kii->ki", bend)[i]
+    ends = np.einsum("kii->ki", covariance)[:, 3:9]
+    diagonal = np.maximum(diagonal, LEAST_BETWEEN * np.minimum(ends[i], ends[i + 1]))
     by_turn = euler_jacobian(R_nb) @ R_nb.transpose(0, 2, 1)
     attitude = np.einsum("nri,nri->nr", by_turn @ between(covariance[:, 0:3, 0:3]), by_turn)
     x, y = (velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]).T
-    speed = x**2 * diagonal[:, 0] + y**2 * diagonal[:, 1] + 2.0 * x * y * between(covariance[:, 3, 4])
+    speed = (
+        x**2 * diagonal[:, 0]
+        + y**2 * diagonal[:, 1]
+        + 2.0 * x * y * (between(covariance[:, 3, 4]) + bent * bend[i, 0, 1])
+    )
     alone = (1.0 - later) ** 2 * track[i, 0] + later**2 * track[i + 1, 0]
     variance = alone + 2.0 * later * (1.0 - later) * track[i, 1]
     return {
@@ -220,6 +232,19 @@ def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, v
         "attitude": np.sqrt(np.clip(attitude, 0.0, ANY_ANGLE**2)),
         "track": np.sqrt(np.maximum(variance, 0.0)),
     }
+
+
+def _between_samples(binned: BinnedImu, noise: InertialNoise, R_ns: Array) -> Array:
+    """Covariance (K, 3, 3) m^2/s^2 of velocity halfway to the next keyframe, given position and velocity of both.
+
+    White force of density q between two ends that are known leaves q^2 T / 16. Source: the conditional covariance of
+    integrated white noise, Q(T/2) - Q(T/2) Phi' Q(T)^-1 Phi Q(T/2).
+    """
+    density, _ = interval_noise(binned, noise)
+    variance = density**2 * np.diff(binned.t) / 16.0
+    shape_n = R_ns[:-1] @ np.array(noise.accel_shape) @ R_ns[:-1].transpose(0, 2, 1)
+    inside = variance[:, None, None] * shape_n
+    return np.concatenate([inside, inside[-1:]])
 
 
 # Accelerations and angular rates of the rows without the noise of the samples: a Wiener filter without phase.

@@ -45,12 +45,13 @@ class Uncertainty:
     """Covariances of the errors of K keyframes.
 
     antenna (K, 9, 9): see :func:`antenna_covariance`; biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see
-    :func:`track_variance`.
+    :func:`track_variance`; bend (K, 3, 3) m^2/s^2: see :func:`bend_covariance`.
     """
 
     antenna: Array
     biases: Array
     track: Array
+    bend: Array
 
 
 def uncertainty_of(solution: Solution, wheels_heading: float | None) -> Uncertainty:
@@ -63,6 +64,7 @@ def uncertainty_of(solution: Solution, wheels_heading: float | None) -> Uncertai
         antenna_covariance(state, known, wheels_heading),
         np.sqrt(np.einsum("kii->ki", known.keyframes)[:, ACCEL_BIAS.start : GYRO_BIAS.stop]),
         track_variance(state, known),
+        bend_covariance(state, known),
     )
 
 
@@ -100,6 +102,24 @@ def _turning(state: State, R_arm: Array) -> Array:
     """Mean angular rate (K, 3) rad/s in n of the arm, from each keyframe to the next."""
     turn = so3.log(R_arm[:-1].transpose(0, 2, 1) @ R_arm[1:]) / state.interval
     return np.asarray(np.einsum("kij,kj->ki", R_arm, np.concatenate([turn, turn[-1:]])))
+
+
+def bend_covariance(state: State, known: Covariances) -> Array:
+    """Covariance (K, 3, 3) m^2/s^2 of the cubic's velocity halfway to the next keyframe, less the mean of both ends'.
+
+    With the noise of the samples between keyframes (`_between_samples` of dense_rows.py) it is the variance of velocity
+    there beyond that of the keyframes, as in intervals without samples.
+    """
+    moved, T = slice(TRANSLATION.start, VELOCITY.stop), state.interval
+    halfway = np.zeros((len(state.t), 3, 6))
+    halfway[:, :, :3], halfway[:, :, 3:] = 1.5 / T * state.R_ns, -0.25 * np.eye(3)
+    before = halfway[:-1] * np.repeat([-1.0, 1.0], 3)
+    own, cross = known.keyframes[:, moved, moved], known.neighbours[:, moved, moved]
+    after_t = halfway[1:].transpose(0, 2, 1)
+    with_next = before @ cross @ after_t
+    bend = before @ own[:-1] @ before.transpose(0, 2, 1) + halfway[1:] @ own[1:] @ after_t
+    bend += with_next + with_next.transpose(0, 2, 1) - 0.5 * (own[:-1, 3:, 3:] + own[1:, 3:, 3:])
+    return np.concatenate([bend, bend[-1:]])
 
 
 def track_variance(state: State, known: Covariances) -> Array:

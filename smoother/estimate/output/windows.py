@@ -61,7 +61,7 @@ def solve_in_windows(
 ) -> Estimated:
     """Solve all keyframes of `start` window by window, with the constants and the noise that are known."""
     windows, n, pieces = _windows(start), len(start.state.t), []
-    whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy((n, 2)))
+    whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy((n, 2)), roomy((n, 3, 3)))
     for i, window in enumerate(windows):
         solution = solve(stretch(start, window.begin, window.end - 1))
         core = uncertainty_of(solution, known.wheels_heading)

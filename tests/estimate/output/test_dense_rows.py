@@ -4,9 +4,11 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
+from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.model.noise import InertialNoise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, State
-from smoother.estimate.output.dense_rows import DenseRows
-from smoother.estimate.output.estimated import antenna_covariance, track_variance
+from smoother.estimate.output.dense_rows import DenseRows, _between_samples
+from smoother.estimate.output.estimated import antenna_covariance, bend_covariance, track_variance
 from smoother.estimate.solvers.covariance import Covariances
 
 from .still_state import state_of
@@ -21,6 +23,35 @@ def drawn(rng: np.random.Generator) -> tuple[Array, Covariances]:
     x, c = root[: K * KEYFRAME_SIZE].reshape(K, KEYFRAME_SIZE, -1), root[K * KEYFRAME_SIZE :]
     own, neighbours = np.einsum("kir,kjr->kij", x, x), np.einsum("kir,kjr->kij", x[:-1], x[1:])
     return root, Covariances(own, neighbours, c @ c.T, np.einsum("kir,jr->kij", x, c))
+
+
+def test_between_two_known_ends_velocity_is_unsure_by_the_integral_of_the_noise() -> None:
+    rng = np.random.default_rng(3)
+    R_ns, shape = so3.exp(rng.normal(size=(K, 3))), ((0.5, 0.0, 0.0), (0.0, 1.0, 0.2), (0.0, 0.2, 1.5))
+    steps = 2000  # of white force, from one keyframe to the next
+    dt = T / steps
+    velocity = dt * np.tri(steps)  # at the end of each step, of the force in each
+    position = dt * np.tri(steps) @ velocity
+    ends, halfway = np.stack([velocity[-1], position[-1]]), velocity[steps // 2 - 1]
+    left = halfway - halfway @ ends.T @ np.linalg.solve(ends @ ends.T, ends)
+    no, density = np.zeros((K - 1, 1, 3)), 0.7
+    binned = BinnedImu(TIMES, T, no, no, np.zeros(K - 1))
+    noise = InertialNoise(density, 1.0, 0.0, 0.0, accel_shape=shape)
+    want = density**2 / dt * (left @ left) * R_ns[:-1] @ np.array(shape) @ R_ns[:-1].transpose(0, 2, 1)
+    np.testing.assert_allclose(_between_samples(binned, noise, R_ns)[:-1], want, atol=5e-3 * want.max())
+
+
+def test_the_bend_is_the_covariance_of_the_cubic_less_the_mean_of_its_ends() -> None:
+    rng = np.random.default_rng(4)
+    R_ns = so3.exp(rng.normal(size=(K, 3)))
+    root, covariances = drawn(rng)
+    errors = root[: K * KEYFRAME_SIZE].reshape(K, KEYFRAME_SIZE, -1)
+    position, velocity = R_ns @ errors[:, TRANSLATION], errors[:, VELOCITY]
+    halfway = 1.5 / T * (position[1:] - position[:-1]) - 0.25 * (velocity[1:] + velocity[:-1])
+    bend = bend_covariance(state_of(TIMES, R_ns), covariances)
+    for i in range(K - 1):
+        middle, first, second = (x @ x.T for x in (halfway[i], velocity[i], velocity[i + 1]))
+        np.testing.assert_allclose(bend[i], middle - 0.5 * (first + second), rtol=1e-9, atol=1e-12)
 
 
 def antenna(state: State, k: int, x: Array) -> Array:

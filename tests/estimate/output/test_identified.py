@@ -60,7 +60,7 @@ def found(
         drives,
     )
     state = state_of(np.arange(2.0), np.tile(np.eye(3), (2, 1, 1)), is_steered=is_steered, **constants)
-    return Estimated(state, known, Uncertainty(no, no, no), {}, WindowsJoint([]))
+    return Estimated(state, known, Uncertainty(no, no, no, no), {}, WindowsJoint([]))
 
 
 def told(
