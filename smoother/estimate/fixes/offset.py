@@ -50,10 +50,10 @@ WEIGHTY = 0.5  # weight in the path from which a measurement is one
 # m^2/s, which the data know best; factor on the white variance that the path found.
 COARSE = (np.log(np.geomspace(10.0, 320.0, 6)), np.log(np.geomspace(1e-4, 10.0, 11)), np.array([-0.7, 0.0, 0.7]))
 QUICK = (np.log(np.geomspace(2.5, 80.0, 6)), np.log(np.geomspace(1e-2, 1e3, 11)), COARSE[2])  # of wild receivers
-WALKS = np.linspace(-9.0, 1.5, 22)  # logarithms of walk over the usual one
+WALKS = np.linspace(-9.0, 1.5, 64)  # logarithms of walk over the usual one
 WALK_SPREAD = 3.0  # sigma of these beforehand: receivers of a metre and of a decimetre are both usual
 WILDER = 3.0  # times as fast as usual, as of telephones
-FINER = 2  # times that candidates are taken anew around the best, half as far apart
+FINER = 3  # times that candidates are taken anew around the best, half as far apart
 AROUND = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 NEAR = tuple(step * np.array([-1.0, 0.0, 1.0]) for step in (0.15, 0.05, 0.1))  # about a sigma in half an hour
 

@@ -1,10 +1,10 @@
 """A smooth path through the fixes alone: positions and Doppler velocity, no inertial sensor.
 
 State in n at every node: position, velocity, acceleration, driven by white jerk (damped, see white_jerk.py); the fixes
-carry a slow Gauss-Markov offset. White noise, Doppler noise and jerk density are identified by variance component
-estimation, outliers lose their weight, and the lag of Doppler behind position and its bias are constants of the
-session. It is the GPS-only smoothing of sessions without a usable IMU, and the starting point and outlier screen of
-the graph.
+have a slow offset and a latency that changes slowly. Noise of positions and of Doppler, density of jerk and of the slow
+errors are identified by variance component estimation, outliers lose their weight, and the lag of Doppler behind
+position and its bias are constants of the session. It is the smoothing of sessions without a usable IMU, and the
+starting point and outlier screen of the graph.
 
 Sources: Förstner 1979 (variance components); Yang et al. 2002 (IGG III weights).
 """
@@ -20,6 +20,8 @@ from smoother.estimate.fixes import path_noise as noise
 from smoother.estimate.fixes.path_graph import (
     ACCELERATION,
     KINDS,
+    LATENCY,
+    NODE_SIZE,
     OFFSET,
     POSITION,
     VELOCITY,
@@ -38,7 +40,8 @@ from smoother.samples import Session
 
 GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the first rounds, while the path is rough
 FIRST_ROUNDS = 2  # with noise as it starts where there are outliers, so that they cannot inflate it
-SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT = 0.03, 0.1, 0.1  # changes, the first two relative, that end the rounds
+# changes that end the rounds, the first two relative, the last in parts of the usual change of the latency
+SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT, SETTLED_LATENCY = 0.03, 0.1, 0.1, 0.5
 UNKNOWN_HEIGHT = 100.0  # m, sigma about the origin's height where no fix has one
 RELAXATION = 0.8  # of the constants' steps: lag and acceleration form a product, and full steps swing
 HOLE = 10.0  # s; nodes are closer, but where pieces of a long session meet in a pause
@@ -53,6 +56,8 @@ class GnssPathOptions:
     position_latency, velocity_latency s, whole delay of each; a position latency is never observable here (default 0).
     offset_sigma m (north, west, up) and offset_tau s: the slow error of receivers as a population. Four of them carried
     beside RTK for 840 s had 1.0-4.0 m rms per horizontal axis (median 1.9), 1.8-10 m up, correlation 0.4 after 60 s.
+    latency_change_sigma, latency_change_tau s: receivers are punctual unless their fixes show otherwise, but positions
+    of phones come late by up to two seconds, by a time that varies over some seconds.
     position_sigma, velocity_sigma: white noise (horizontal, up), m and m/s; jerk_density (horizontal, up) in
     m/s^3/sqrt(Hz).
     lag_prior: expectation and sigma, s, of Doppler's lag; kart logs show 0.04-0.14 s. velocity_bias_sigma m/s: of the
@@ -66,6 +71,8 @@ class GnssPathOptions:
     velocity_latency: float | None = None
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
+    latency_change_sigma: float = 0.003
+    latency_change_tau: float = 10.0
     position_sigma: tuple[float, float] | None = None
     velocity_sigma: tuple[float, float] | None = None
     jerk_density: tuple[float, float] | None = None
@@ -307,7 +314,7 @@ def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
 
 def _first_state(known: _Known, t: Array, weight: Array) -> _State:
     """Straight lines between the fixes to start from; the problem is all but linear, so nothing better is needed."""
-    x, measured = np.zeros((len(t), OFFSET.stop)), known.measured
+    x, measured = np.zeros((len(t), NODE_SIZE)), known.measured
     for axis in range(3):
         good = np.isfinite(measured.position_n[:, axis]) & (weight[:, 0] > 0.0)
         if good.any():
@@ -342,19 +349,24 @@ def _improve(known: _Known, now: _State, number: int) -> _State:
 
 
 def _relaxed(before: Nodes, after: Nodes) -> Nodes:
-    """The nodes after a step that goes a part of the way for the constants."""
-    lag = float(np.clip(before.lag + RELAXATION * (after.lag - before.lag), *LAG_RANGE))  # nodes reach no farther
-    lag = before.lag if after.lag == before.lag else lag
-    return replace(after, lag=lag, bias=before.bias + RELAXATION * (after.bias - before.bias))
+    """The nodes after a step that goes a part of the way for the constants, and with latencies that change about 0."""
+    bias = before.bias + RELAXATION * (after.bias - before.bias)
+    if after.lag == before.lag:
+        return replace(after, bias=bias)
+    # All times could move by a constant, with it the lag: no measurement determines it, and it would swing.
+    constant = float(np.mean(after.x[:, LATENCY]))
+    x, slope = after.x.copy(), np.zeros_like(after.x)
+    slope[:, POSITION], slope[:, VELOCITY], slope[:, LATENCY] = x[:, VELOCITY], x[:, ACCELERATION], 1.0
+    lag = before.lag + RELAXATION * (after.lag - before.lag) - constant
+    return replace(after, x=x - constant * slope, lag=float(np.clip(lag, *LAG_RANGE)), bias=bias)
 
 
 def _prior(known: _Known, now: noise.PathNoise) -> PathPrior:
     level, up = (WhiteJerk(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
     options, (start, start_sigma) = known.options, known.start
-    offset = np.asarray(options.offset_sigma) * now.wander[[0, 0, 1]]
-    return PathPrior(
-        (level, up), offset, options.offset_tau, start, start_sigma, known.lag, options.velocity_bias_sigma
-    )
+    slow = np.array([*options.offset_sigma, options.latency_change_sigma]) * now.wander[[0, 0, 1, 2]]
+    tau = np.array([options.offset_tau] * 3 + [options.latency_change_tau])
+    return PathPrior((level, up), slow, tau, start, start_sigma, known.lag, options.velocity_bias_sigma)
 
 
 def _as_configured(found: noise.PathNoise, options: GnssPathOptions) -> noise.PathNoise:
@@ -371,7 +383,9 @@ def _is_settled(before: _State, after: _State) -> bool:
     sigma = np.abs(np.log(after.noise.sigma / before.noise.sigma)).max()
     jerk = np.abs(np.log(after.noise.jerk / before.noise.jerk)).max()
     weight = np.abs(after.weight - before.weight).max()
-    return bool(sigma < SETTLED_SIGMA and jerk < SETTLED_JERK and weight < SETTLED_WEIGHT)
+    latency = abs(after.noise.wander[2] - before.noise.wander[2])
+    changes = np.array([sigma, jerk, weight, latency])
+    return bool(np.all(changes < [SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT, SETTLED_LATENCY]))
 
 
 def _result(known: _Known, state: _State, latency: float, rounds: int) -> GnssPath:

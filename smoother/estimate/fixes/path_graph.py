@@ -1,6 +1,7 @@
-"""The linear graph of a path through fixes: nodes that move by white jerk, the fixes, and a slow error of theirs.
+"""The linear graph of a path through fixes: nodes that move by white jerk, the fixes, and their slow errors.
 
-A node has 12 unknowns in n: position, velocity, acceleration and slow error of the fixes (fix = position + error). The
+A node has 13 unknowns in n: position, velocity, acceleration, and two slow errors of the fixes, Gauss-Markov processes:
+an offset (fix = position + offset) and a change of their latency, s (a fix stamped t was true at t - latency). The
 constants of a session are the lag of Doppler velocity behind position and Doppler's bias. All of it is rows as in the
 graph of a session (factors/rows.py), which GTSAM eliminates.
 """
@@ -17,8 +18,9 @@ from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE
 from smoother.estimate.solvers.batch import solve_rows
 from smoother.estimate.solvers.covariance import Chain, Covariances
 
-NODE_SIZE = 12
+NODE_SIZE = 13
 POSITION, VELOCITY, ACCELERATION, OFFSET = (slice(3 * i, 3 * i + 3) for i in range(4))
+LATENCY, SLOW = slice(12, 13), slice(9, 13)
 MOTION = np.stack([[axis, 3 + axis, 6 + axis] for axis in range(3)])  # columns of each axis
 LAG, BIAS = "velocity_latency", "doppler_bias"  # names of the constants among those of a session
 KINDS = ("position", "height", "velocity", "climb")  # of measurements; each has a noise of its own
@@ -27,25 +29,30 @@ LEVEL, UP = slice(0, 2), slice(2, 3)
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Values of all unknowns: t (K,) s, x (K, 12), lag s, bias (3,) m/s."""
+    """Values of all unknowns: t (K,) s, x (K, 13), lag s, bias (3,) m/s."""
 
     t: Array
     x: Array
     lag: float
     bias: Array
 
+    def without_latency_change(self, t: Array) -> Array:
+        """Times (N,) s at which the positions of times t (N,) s were true if the latency changes as in the nodes."""
+        changed = np.maximum.accumulate(self.t + self.x[:, LATENCY.start])
+        return np.interp(t, changed, self.t)
+
 
 @dataclass(frozen=True, eq=False)
 class PathPrior:
-    """Everything assumed about the unknowns: motion (level, up), offset per axis, the start, the constants.
+    """Everything assumed about the unknowns: motion (level, up), slow errors, the start, the constants.
 
-    offset_sigma (3,) m, offset_tau s; start_sigma (3,) m about start (3,) m; lag s: mean and sigma; bias_sigma m/s,
-    about zero. A sigma of zero: it is known.
+    slow_sigma (4,) of the slow errors: offset per axis, m, and latency, s; slow_tau (4,) s; start_sigma (3,) m about
+    start (3,) m; lag s: mean and sigma; bias_sigma m/s, about zero. A sigma of zero: it is known.
     """
 
     motion: tuple[WhiteJerk, WhiteJerk]
-    offset_sigma: Array
-    offset_tau: float
+    slow_sigma: Array
+    slow_tau: Array
     start: Array
     start_sigma: Array
     lag: tuple[float, float]
@@ -99,8 +106,14 @@ def fix_rows(nodes: Nodes, fixes: Measured) -> list[Rows]:
 
     Positions are true at true_t, velocities the lag earlier.
     """
-    x, k, left, right = _between(nodes, fixes.true_t, 0)
+    then = nodes.without_latency_change(fixes.true_t)
+    x, k, left, right = _between(nodes, then, 0)
     p = _value(x, k, left, right)
+    step = (nodes.t[k + 1] - nodes.t[k])[:, None]
+    rate = _value(*_between(nodes, then, 1)) + (x[k + 1, OFFSET] - x[k, OFFSET]) / step
+    by_latency = -rate / (1.0 + (x[k + 1, LATENCY] - x[k, LATENCY]) / step)
+    share = np.clip((then[:, None] - nodes.t[k, None]) / step, 0.0, 1.0)
+    left[:, :, LATENCY.start], right[:, :, LATENCY.start] = (1.0 - share) * by_latency, share * by_latency
     v_rows = _between(nodes, fixes.true_t - nodes.lag, 1)
     v, a = _value(*v_rows), _value(*_between(nodes, fixes.true_t - nodes.lag, 2))
     only = speeds_alone(fixes.velocity_n, fixes.speed)
@@ -143,7 +156,7 @@ def _value(x: Array, k: IntArray, left: Array, right: Array) -> Array:
 
 
 def prior_rows(nodes: Nodes, prior: PathPrior) -> list[Rows]:
-    """Rows of the motion ("jerk_level" (K-1, 6), "jerk_up" (K-1, 3)), of the offset, of the start, of the constants."""
+    """Rows of the motion ("jerk_level" (K-1, 6), "jerk_up" (K-1, 3)), slow errors (K-1, 4), start and constants."""
     x, dt, every = nodes.x, np.diff(nodes.t), np.arange(len(nodes.t) - 1, dtype=np.int64)
     out = []
     for name, motion, axes in (("jerk_level", prior.motion[0], (0, 1)), ("jerk_up", prior.motion[1], (2,))):
@@ -155,14 +168,14 @@ def prior_rows(nodes: Nodes, prior: PathPrior) -> list[Rows]:
             left[:, own, MOTION[axis]], right[:, own, MOTION[axis]] = -back, root
         residual = _value(x, every, left, right)
         out.append(rows_of(name, every, residual, 1.0, left, right))
-    keep = np.exp(-dt / prior.offset_tau)[:, None]
-    left, right = np.zeros((2, len(dt), 3, NODE_SIZE))
-    left[:, :, OFFSET], right[:, :, OFFSET] = -keep[:, :, None] * np.eye(3), np.eye(3)
-    driven = x[1:, OFFSET] - keep * x[:-1, OFFSET]
-    sigma = np.sqrt(-np.expm1(-2.0 * dt / prior.offset_tau))[:, None] * prior.offset_sigma
-    out.append(rows_of("offset", every, driven, sigma, left, right))
+    keep = np.exp(-dt[:, None] / prior.slow_tau)
+    left, right = np.zeros((2, len(dt), 4, NODE_SIZE))
+    left[:, :, SLOW], right[:, :, SLOW] = -keep[:, :, None] * np.eye(4), np.eye(4)
+    driven = x[1:, SLOW] - keep * x[:-1, SLOW]
+    sigma = np.sqrt(-np.expm1(-2.0 * dt[:, None] / prior.slow_tau)) * prior.slow_sigma
+    out.append(rows_of("slow_errors", every, driven, sigma, left, right))
     usual = [(m.velocity, m.acceleration) for m in (prior.motion[0], *prior.motion)]
-    sigma = np.concatenate([prior.start_sigma, *np.transpose(usual), prior.offset_sigma])
+    sigma = np.concatenate([prior.start_sigma, *np.transpose(usual), prior.slow_sigma])
     start = x[0] - np.concatenate([prior.start, np.zeros(NODE_SIZE - 3)])
     first, none = np.zeros(1, np.int64), np.zeros((1, NODE_SIZE, NODE_SIZE))
     out.append(rows_of("start", first, start[None], sigma, np.eye(NODE_SIZE)[None], none))

@@ -28,6 +28,8 @@ START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
 LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
 WITNESSED = 0.5  # share of the fixes with a velocity
 LEAST_WANDER = 0.02  # of the usual slow error
+START_WANDER = np.array([1.0, 1.0, 10.0])  # of the slow errors, in parts of the usual; latencies that change show soon
+SLOW_GROUPS = LEVEL, UP, slice(3, 4)  # of the slow errors: offset, latency
 WORST_REPORTED = 1e6  # times the usual; damaged files say more, of which squares would overflow
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
 KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
@@ -43,15 +45,15 @@ BULK, BULK_SIZE = 0.75, (1.665, 1.150, 1.665, 1.150)  # a quantile, and that of 
 class PathNoise:
     """sigma (4,) by kind, m or m/s; jerk (2,) m/s^3/sqrt(Hz); vehicle (2, 2) usual velocity and acceleration.
 
-    spread (4,): sigma of the logarithm of each sigma. wander (2,): how fast the slow error of the fixes goes, level and
-    up, in parts of what is usual.
+    spread (4,): sigma of the logarithm of each sigma. wander (3,): how fast the offset of the fixes goes, level
+    and up, and their latency, in parts of what is usual.
     """
 
     sigma: Array
     jerk: Array
     vehicle: Array
     spread: Array = field(default_factory=lambda: np.full(len(KINDS), ANY_NOISE))
-    wander: Array = field(default_factory=lambda: np.ones(2))
+    wander: Array = field(default_factory=lambda: START_WANDER)
 
 
 def first_noise() -> PathNoise:
@@ -148,7 +150,7 @@ def identify(
 ) -> PathNoise:
     """Return the noise that one round of solving shows.
 
-    scale (M, 4): of each fix; driven: rows of the jerk, level and up, and of the slow error.
+    scale (M, 4): of each fix; driven: rows of the jerk, level and up, and of the slow errors.
     """
     velocity = np.isfinite(judged[KINDS.index("velocity")].variance[:, 0])
     witnessed = float(np.mean(velocity)) > WITNESSED
@@ -156,7 +158,7 @@ def identify(
         now,
         sigma=np.array([_sigma(it, scale[:, kind], kind, witnessed=witnessed) for kind, it in enumerate(judged)]),
         jerk=np.array([_jerk(it, now.jerk[i], i) for i, it in enumerate(driven[:2])]),
-        wander=_wander(driven[2], now.wander) if witnessed else now.wander,
+        wander=_wander(driven[2], now.wander) if witnessed else np.ones(3),
         vehicle=_vehicle(solution, now.vehicle, bool(np.isfinite(judged[KINDS.index("height")].variance).any())),
         spread=np.array([_spread(it, name) for name, it in zip(KINDS, judged, strict=True)]),
     )
@@ -196,7 +198,7 @@ def _jerk(it: Judged, now: float, axis: int) -> float:
 
 def _wander(it: Judged, now: Array) -> Array:
     squares, redundancy = it.residual**2 / it.variance, np.maximum(1.0 - it.leverage, 0.0)
-    parts = [(float(squares[:, axes].sum()), float(redundancy[:, axes].sum())) for axes in (LEVEL, UP)]
+    parts = [(float(squares[:, axes].sum()), float(redundancy[:, axes].sum())) for axes in SLOW_GROUPS]
     found = [(now[i] ** 2 * s + PRIOR_COUNT) / (r + PRIOR_COUNT) for i, (s, r) in enumerate(parts)]
     return np.asarray(np.maximum(np.sqrt(found), LEAST_WANDER))
 

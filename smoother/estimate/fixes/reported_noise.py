@@ -26,12 +26,12 @@ UNSEEN_WALK = 0.1  # of the walk of Doppler that is added up
 def noise_of_fixes(sigma: Array, spread: Array, unit: str, beyond: Array | None = None) -> Identified:
     """Return the white noise per axis, sigma (3,) in `unit`, of which the logarithms are known to spread (3,).
 
-    beyond (3,), in `unit`: what else may be wrong with it. It is observable where it is on the level: few receivers
-    tell a vertical velocity.
+    beyond (3,), in `unit`: what else may be wrong with it. It is observable where its level part is, since few
+    receivers have a vertical velocity, and where it is larger than its sigma.
     """
     own = np.hypot(sigma * spread, 0.0 if beyond is None else beyond)
     own = np.hypot(own, DIGIT + ANY_SCATTER[unit] * (spread / ANY_NOISE) ** 2)
-    observable = bool(np.all(spread[:2] < OBSERVABLE * ANY_NOISE))
+    observable = bool(np.all((spread[:2] < OBSERVABLE * ANY_NOISE) & (own[:2] < sigma[:2])))
     return Identified(sigma.tolist(), own.tolist(), unit, observable, "identified" if observable else "default")
 
 

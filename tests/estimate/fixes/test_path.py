@@ -45,6 +45,18 @@ def test_noise_and_the_lag_of_doppler_are_identified(lap_fixes: Make, rate: floa
     assert abs(path.velocity_lag.value - 0.1) < 4.0 * path.velocity_lag.sigma
 
 
+def test_positions_late_by_a_varying_time_are_put_right(lap_fixes: Make, lap_motion: Make) -> None:
+    made = lap_fixes(rate=1.0, duration=300.0, offset=(0.0, 0.0, 0.0), white=(0.5, 0.5, 0.9))
+    t, rng = made.session.gnss.t, np.random.default_rng(1)
+    late = np.interp(t, np.arange(0.0, 320.0, 10.0), rng.uniform(-0.8, 0.8, 32))
+    position = lap_motion(t - late) + rng.normal(size=(len(t), 3)) * 0.5
+    lat, lon, alt = nwu_to_geodetic(position, made.session.origin)
+    path = fit_gnss_path(with_fixes(made.session, lat_deg=lat, lon_deg=lon, alt_m=alt))
+    raw, smoothed = position - lap_motion(t), path.at(t).track_n - lap_motion(t)
+    assert horizontal_rms(raw) > 5.0
+    assert horizontal_rms(smoothed) < 0.3 * horizontal_rms(raw)
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("changes", [{}, {"rate": 1.0}, {"rate": 25.0, "duration": 40.0}, {"lag": 0.3}])
 def test_path_beats_the_fixes_and_their_interpolation(

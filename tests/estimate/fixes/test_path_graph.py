@@ -15,11 +15,12 @@ from smoother.estimate.solvers.variance_components import posterior_variance
 
 FIX_TIMES = np.array([0.0, 0.3, 0.5, 0.9, 1.4])
 NODES = np.array([-0.3, 0.0, 0.2, 0.5, 0.8, 1.0, 1.2, 1.5])
+LATE = 0.04  # s
 LAG_AT, BIAS_AT = 0.12, np.array([0.03, -0.02, 0.01])
 PRIOR = PathPrior(
     motion=(WhiteJerk(3.0, 5.0, 4.0), WhiteJerk(1.0, 1.0, 1.0)),
-    offset_sigma=np.array([2.0, 2.0, 3.0]),
-    offset_tau=20.0,
+    slow_sigma=np.array([2.0, 2.0, 3.0, 0.1]),
+    slow_tau=np.array([20.0, 20.0, 20.0, 5.0]),
     start=np.array([0.5, -0.5, 1.0]),
     start_sigma=np.array([10.0, 10.0, 5.0]),
     lag=(0.05, 0.1),
@@ -32,7 +33,9 @@ def problem() -> tuple[Nodes, Measured]:
     rng = np.random.default_rng(5)
     position, velocity = rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
     position[2, 2] = velocity[1] = np.nan
-    nodes = Nodes(NODES, rng.normal(size=(len(NODES), NODE_SIZE)), LAG_AT, BIAS_AT)
+    x = rng.normal(size=(len(NODES), NODE_SIZE))
+    x[:, path_graph.LATENCY] *= 0.02  # time does not run backwards
+    nodes = Nodes(NODES, x, LAG_AT, BIAS_AT)
     return nodes, Measured(FIX_TIMES, position, velocity)
 
 
@@ -102,7 +105,7 @@ def test_a_lag_that_is_known_stays() -> None:
 
 
 def test_residuals_are_prediction_minus_measurement_zero_on_the_true_path() -> None:
-    """A path of constant acceleration, whose fixes are an offset off and whose speeds lag and are biased."""
+    """A path of constant acceleration; fixes have an offset and a latency, velocities a lag and a bias."""
     start, speed, pull = np.array([1.0, -2.0, 0.5]), np.array([10.0, 3.0, -1.0]), np.array([-2.0, 4.0, 0.3])
     offset = np.array([0.7, -0.4, 0.2])
 
@@ -111,21 +114,21 @@ def test_residuals_are_prediction_minus_measurement_zero_on_the_true_path() -> N
         return start + speed * seconds + 0.5 * pull * seconds**2, speed + pull * seconds
 
     position, velocity = motion(NODES)
-    x = np.hstack([position, velocity, np.tile(pull, (len(NODES), 1)), np.tile(offset, (len(NODES), 1))])
-    fixes, speeds = motion(FIX_TIMES)[0] + offset, motion(FIX_TIMES - LAG_AT)[1] + BIAS_AT
+    x = np.hstack([position, velocity, np.tile(pull, (len(NODES), 1)), np.tile([*offset, LATE], (len(NODES), 1))])
+    fixes, speeds = motion(FIX_TIMES - LATE)[0] + offset, motion(FIX_TIMES - LAG_AT)[1] + BIAS_AT
     for more in (0.0, 0.25):
         measured = Measured(FIX_TIMES, fixes + more, speeds + more)
         for rows in path_graph.fix_rows(Nodes(NODES, x, LAG_AT, BIAS_AT), measured):
             np.testing.assert_allclose(rows.residual, -more, atol=1e-12)
 
 
-def test_the_offset_is_forgotten_as_a_gauss_markov_process_is() -> None:
+def test_slow_errors_are_stationary_gauss_markov_processes() -> None:
     nodes, _ = problem()
-    offset = {rows.name: rows for rows in path_graph.prior_rows(nodes, PRIOR)}["offset"]
-    kept = -np.einsum("nii->ni", offset.left[:, :, path_graph.OFFSET])
-    np.testing.assert_allclose(kept, np.exp(-np.diff(NODES) / PRIOR.offset_tau)[:, None] * np.ones(3))
-    scatter = kept**2 * PRIOR.offset_sigma**2 + offset.sigma**2  # it scatters as much at all times
-    np.testing.assert_allclose(scatter, np.broadcast_to(PRIOR.offset_sigma**2, scatter.shape))
+    slow = {rows.name: rows for rows in path_graph.prior_rows(nodes, PRIOR)}["slow_errors"]
+    kept = -np.einsum("nii->ni", slow.left[:, :, path_graph.SLOW])
+    np.testing.assert_allclose(kept, np.exp(-np.diff(NODES)[:, None] / PRIOR.slow_tau))
+    scatter = kept**2 * PRIOR.slow_sigma**2 + slow.sigma**2
+    np.testing.assert_allclose(scatter, np.broadcast_to(PRIOR.slow_sigma**2, scatter.shape))
 
 
 def test_the_constants_are_those_of_a_session() -> None:
