@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array
 from smoother.estimate.factors.rows import Between, Rows, along_direction, no_jacobian, rows_of, speeds_alone
 from smoother.estimate.model.motion import LowPassedMotion, Spectrum, course_of
 from smoother.estimate.model.state import OFFSET, State
@@ -64,16 +64,13 @@ def arm_axes(between: Between) -> Array:
 # The slow error of the fixes: a Gauss-Markov process of first order.
 
 
-def offset_rows(state: State, sigma: Array, tau: float, renewed: BoolArray | None = None) -> Rows:
+def offset_rows(state: State, sigma: Array, tau: float) -> Rows:
     """Residual o(k + 1) - phi o(k), m, with variance sigma^2 (1 - phi^2) and phi = exp(-T / tau), in every interval.
 
-    sigma (3,) or (K-1, 3) m; tau s. renewed (K-1,): intervals after which the error is independent (phi = 0).
-    Source: Gelb 1974, 3.8.
+    sigma (3,) m; tau s. Source: Gelb 1974, 3.8.
     """
     n = len(state.t) - 1
     phi = np.full((n, 1), np.exp(-state.interval / tau))
-    if renewed is not None:
-        phi[renewed] = 0.0
     left, right = no_jacobian(n, 3)
     left[:, :, OFFSET], right[:, :, OFFSET] = -phi[:, :, None] * np.eye(3), np.eye(3)
     residual = state.offset_n[1:] - phi * state.offset_n[:-1]

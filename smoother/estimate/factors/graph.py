@@ -46,8 +46,6 @@ class Measurements:
     ground: keyframes far from any fix with a height, and the nearest height, m.
     unsampled: intervals without inertial samples.
     wheel_speed: readings of a wheel's speed, far enough apart to be independent.
-    offset_share, offset_renewed (K-1,): sigma of the slow error relative to the session's, and intervals after which
-        the error is independent.
     """
 
     t: Array
@@ -63,8 +61,6 @@ class Measurements:
     ground: tuple[IntArray, Array] | None = None
     unsampled: Unsampled | None = None
     wheel_speed: WheelSpeed | None = None
-    offset_share: Array | None = None
-    offset_renewed: BoolArray | None = None
 
     def of(self, fixes: BoolArray) -> "Measurements":
         """With some of the fixes (N,) alone."""
@@ -87,7 +83,7 @@ class Measurements:
 
         Without heading and wheels, which join where attitudes are known.
         """
-        share, renewed, ground, wheel = self.offset_share, self.offset_renewed, self.ground, self.wheel_speed
+        ground, wheel = self.ground, self.wheel_speed
         if ground is not None:
             inside = (ground[0] >= first) & (ground[0] < last - 1)
             ground = (ground[0][inside] - first, ground[1][inside]) if np.any(inside) else None
@@ -99,8 +95,6 @@ class Measurements:
             rolls=None,
             ground=ground,
             wheel_speed=None if wheel is None else readings_inside(wheel, t[first:last]),
-            offset_share=None if share is None else share[first : last - 1],
-            offset_renewed=None if renewed is None else renewed[first : last - 1],
         )
 
 
@@ -182,11 +176,8 @@ def _velocity(x: Inputs) -> Iterable[Rows]:
 
 
 def _offset(x: Inputs) -> Iterable[Rows]:
-    m, sigma = x.measured, x.noise.offset_sigma
-    share = 1.0 if m.offset_share is None else m.offset_share[:, None]
-    first = 1.0 if m.offset_share is None else m.offset_share[0]
-    yield offset_start_rows(x.state, first * sigma)
-    yield offset_rows(x.state, share * sigma, x.noise.offset_tau, m.offset_renewed)
+    yield offset_start_rows(x.state, x.noise.offset_sigma)
+    yield offset_rows(x.state, x.noise.offset_sigma, x.noise.offset_tau)
 
 
 def _heading(x: Inputs) -> Iterable[Rows]:

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.fixes.claims import receiver_share
-from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, offset_model, unseen_variance
+from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, offset_model, reported_share, unseen_variance
 from smoother.estimate.fixes.path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.fixes.path_noise import LEAST_SIGMA
 from smoother.estimate.fixes.pieces import fit_path
@@ -113,7 +112,7 @@ class GnssSmoother:
 def _offset(session: Session, path: GnssPath, options: GnssPathOptions) -> tuple[OffsetModel, OffsetModel]:
     """The slow offset of the fixes as far as Doppler tells, else the population's; and what is to be said of it."""
     usual = OffsetModel(np.asarray(options.offset_sigma), options.offset_tau)
-    population = usual.sigma * receiver_share(session.gnss, float(usual.sigma[0]))
+    population = usual.sigma * reported_share(session.gnss, float(usual.sigma[0]))
     white = float(path.position_sigma[0])
     found = offset_model(session.gnss.t, path, usual, white < UNFILTERED)
     hidden = unseen_wander(session.gnss.t, path, usual.tau)

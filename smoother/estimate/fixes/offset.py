@@ -20,6 +20,7 @@ import numpy as np
 from smoother.arrays import Array, median
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.fixes.slow_errors import SlowVelocity
+from smoother.samples import GnssFixes
 
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
 SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes before they tell
@@ -31,6 +32,8 @@ ANYWHERE = 1e3  # m, sigma of where Doppler's path began
 FEWEST = 30  # means
 LEAST_DOPPLER = 0.5  # share of the fixes with Doppler
 PRICE = 2.0  # logarithm of likelihood that an offset's two values, which always fit a little better, have to be worth
+# Receivers report half to twice the error of their fixes, of both axes; and no more than ten times is believed.
+HALF, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
 NONE = 0.005  # of the usual offset, where there is none: a centimetre
 UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
 # of it, north, west and up, for filtered fixes too rare to tell: real ones walk by some decimetres in a minute, and the
@@ -119,6 +122,17 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     if known and not (is_filtered and fit.tau < SHORTEST):
         return OffsetModel(own, fit.tau, fit.tau_spread)
     return _walked(seen, usual) if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
+
+
+def reported_share(fixes: GnssFixes, usual: float) -> float:
+    """Horizontal accuracy that a receiver reports over the usual slow error, m: 1 where it reports none.
+
+    Better and much worse receivers are believed: a session shows no wander that is slower than the session is long.
+    """
+    if fixes.sigma_horizontal is None or not np.any(np.isfinite(fixes.sigma_horizontal)):
+        return 1.0
+    share = math.sqrt(np.nanmean(np.minimum(fixes.sigma_horizontal / usual, MOST_WORSE * HALF) ** 2))
+    return float(np.clip(share, 1.0 / MOST_WORSE, np.clip(share / HALF, 1.0, MOST_WORSE)))
 
 
 def unseen_variance(offset: OffsetModel, white: float, population: Array, n_fixes: int, hidden: float = 0.0) -> Array:

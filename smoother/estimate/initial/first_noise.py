@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median
-from smoother.estimate.fixes.claims import RTK, claimed_accuracy
 from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.initial.align import Alignment
@@ -21,27 +20,8 @@ DATA_SHEET_ACCEL = 300e-6 * STANDARD_GRAVITY  # m/s^2/sqrt(Hz), MPU9250 product 
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 START_SHARE = 0.5  # of the residual of the alignment; the rest is not noise of the samples
 ENOUGH_BINS = 40_000  # intervals that determine the scatter of bins; more than two hours
-# m: largest scatter and slow error of fixed carrier phases beside Doppler (0.02 and 0.13 or less; other receivers have
-# 0.06 and 0.35 or more), and their least error. The scatter is of fixes RTK_EVERY s apart and grows with their spacing
-# up to RTK_RARELY: 0.045 m at 5 Hz, 0.09 at 2 Hz.
-RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.03, 0.25, 0.01
-RTK_EVERY, RTK_RARELY = 0.1, 0.4  # s
 # m, north, west, up: initial scatter of a fix against the next, with Doppler and without; the identification reduces it
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
-
-
-def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float | None:
-    """Reported horizontal accuracy, m, of a receiver that fixes carrier phases (RTK), None of others.
-
-    It counts where the fixes agree: they scatter by hardly more than a digit and stay beside the Doppler.
-    """
-    claimed = claimed_accuracy(session.gnss)
-    if claimed is None:
-        return None
-    every = float(np.clip(median(np.diff(session.gnss.t)), RTK_EVERY, RTK_RARELY))
-    scatters = path.position_sigma[0] >= RTK_SCATTER * every / RTK_EVERY
-    is_one = claimed < RTK and not scatters and offset.sigma[0] < RTK_WALK
-    return max(claimed, RTK_LEAST) if is_one else None
 
 
 def first_noise(
@@ -63,10 +43,6 @@ def first_noise(
     )
     usual = OffsetModel(np.array(options.offset_sigma), options.offset_tau)
     offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
-    most = np.full(3, np.inf)
-    if (claimed := _centimetres(session, path, offset)) is not None:
-        most = usual.sigma * (claimed / usual.sigma[0])
-        offset = OffsetModel(most, usual.tau)
     position = path.position_sigma
     if follows_positions(session.gnss.t, path):
         position = np.maximum(position, MOST_SCATTER if has_doppler(path) else SOME_SCATTER)
@@ -77,7 +53,6 @@ def first_noise(
         offset.sigma,
         offset.tau,
         constants={name: np.full(SIZES[name], options.sigmas[name]) for name in SENSOR_SCALE},
-        offset_most=most,
         offset_tau_spread=offset.tau_spread,
     )
 

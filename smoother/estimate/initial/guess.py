@@ -13,7 +13,7 @@ from smoother.estimate.factors.constraints import far_from_heights
 from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, readings_inside, table_without
 from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.factors.wheels import readings_of
-from smoother.estimate.fixes.claims import claims_of, receiver_share
+from smoother.estimate.fixes.offset import reported_share
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.fixes.screen import most_say_velocity
@@ -105,7 +105,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
             (driven.t >= begin) & (driven.t <= end)
         ),
         priors,
-        min(receiver_share(session.gnss, usual), float(noise.offset_most[0]) / usual),
+        reported_share(session.gnss, usual),
         session.config.imu,
         spans,
         options.wheels and priors.drives,
@@ -198,10 +198,7 @@ def _measurements(
     confirmed = confirmed_at_rest(gnss, session.origin, standing)
     scale = _relative(gnss.sigma_velocity)
     scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, confirmed), scale)
-    ground, claims = far_from_heights(_heights(session), t), claims_of(gnss)
-    share, renewed = (None, None)
-    if len(claims.renewed):
-        share, renewed = claims.between(t, state.constant("position_latency"))
+    ground = far_from_heights(_heights(session), t)
     follows = not (alignment.is_level_only or state.geometry.is_steered)
     with_velocity = gnss.t[np.isfinite(gnss.velocity_n[:, 0])]
     fixes = with_velocity if len(with_velocity) > 1 else gnss.t
@@ -217,8 +214,6 @@ def _measurements(
         ground=ground if len(ground[0]) else None,
         unsampled=Unsampled.of(binned.missing, state, fixes, follows=follows),
         wheel_speed=None if wheel is None else readings_inside(readings_of(wheel), t),
-        offset_share=share,
-        offset_renewed=renewed,
     )
 
 

@@ -89,9 +89,8 @@ def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Ar
 @dataclass(frozen=True, eq=False)
 class Noise:
     """inertial: densities of the samples and walks of the biases. position m, velocity m/s (3,): white noise of fixes,
-    per axis of n. offset_sigma (3,) m, offset_tau s: the slow error of the fixes, a Gauss-Markov process; offset_most
-    (3,) m: upper bound of its sigma. slip rad: sideslip in a hard corner, None without wheels. constants: prior sigmas
-    by name that are identified with the noise. sigmas: of the rows of factors whose sigma is identified from their
+    per axis of n. offset_sigma (3,) m, offset_tau s: the slow error of the fixes, a Gauss-Markov process. slip rad:
+    sideslip in a hard corner, None without wheels. constants: prior sigmas by name that are identified with the noise. sigmas: of the rows of factors whose sigma is identified from their
     residuals alone, by the factor's name. offset_tau_spread: sigma of the logarithm of offset_tau where the session
     shows it, infinite where it is the population's.
     """
@@ -103,6 +102,5 @@ class Noise:
     offset_tau: float
     slip: float | None = None
     constants: Mapping[str, Array] = field(default_factory=dict)
-    offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
     offset_tau_spread: float = math.inf
     sigmas: Mapping[str, float] = field(default_factory=dict)

@@ -8,7 +8,6 @@ from smoother.arrays import Array, BoolArray, median
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.factors.gnss import arm_axes
 from smoother.estimate.factors.rows import Between, Rows
-from smoother.estimate.fixes.claims import claims_of
 from smoother.estimate.fixes.offset import OffsetModel, unseen_variance
 from smoother.estimate.fixes.path import UNKNOWN_HEIGHT
 from smoother.estimate.fixes.reported_noise import wander_from_laps
@@ -88,12 +87,9 @@ def build_trajectory(
 def _with_wander_shared(
     session: Session, found: Estimated, laps: LapRegistration | None
 ) -> tuple[Estimated, SlowErrors | None]:
-    """The estimate with Doppler's part of the offset moved into the path, and the slow errors, where laps show them.
-
-    Unchanged where corrections come and go: then the slow error of the fixes is not one process.
-    """
+    """The estimate with Doppler's part of the offset moved into the path, and the slow errors, where laps show them."""
     fixes, state = session.gnss, found.state
-    if not np.isfinite(fixes.velocity_n[:, 0]).any() or len(claims_of(fixes).renewed):
+    if not np.isfinite(fixes.velocity_n[:, 0]).any():
         return found, None
     seen = offset_at_fixes(state, found.rows["gps_position"])
     if seen is None:

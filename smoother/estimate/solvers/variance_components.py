@@ -340,7 +340,7 @@ def _offset_sigma(step: Step, covariances: Covariances, noise: Noise) -> Array:
     ratio = np.array([_ratio(s, e, OFFSET_COUNT) for s, e in zip(squares.tolist(), expected.tolist(), strict=True)])
     if np.mean(np.isfinite(step.rows["gps_position"].sigma[:, 2])) < 0.5:
         ratio[2] = 1.0
-    return np.asarray(np.minimum(noise.offset_sigma * ratio, noise.offset_most))
+    return np.asarray(noise.offset_sigma * ratio)
 
 
 def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:

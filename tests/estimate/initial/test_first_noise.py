@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.fixes.claims import receiver_share
+from smoother.estimate.fixes.offset import reported_share
 from smoother.estimate.initial.options import GraphOptions
 from smoother.prepare import prepare
 from smoother.samples import Session
@@ -19,31 +19,12 @@ def session() -> Session:
     return prepare(simulate_preset("white", 3, duration=40.0, imu=None, mag=None).raw)
 
 
-def claiming(session: Session, corrected: float) -> Session:
-    """The session with corrections for that share of the fixes, from the first one on."""
+def test_accuracies_that_change_count_by_their_squares(session: Session) -> None:
     n = len(session.gnss)
-    reported = np.where(np.arange(n) < corrected * n, CENTIMETRES, METRES)
-    return replace(session, gnss=replace(session.gnss, sigma_horizontal=reported))
-
-
-@pytest.mark.parametrize("corrected", [0.0, 0.45, 0.55, 0.65, 0.8])
-def test_centimetres_are_not_claimed_of_fixes_that_lost_their_corrections(session: Session, corrected: float) -> None:
-    share = receiver_share(claiming(session, corrected).gnss, GraphOptions().offset_sigma[0])
-    assert share == receiver_share(claiming(session, 0.0).gnss, GraphOptions().offset_sigma[0])
-
-
-def test_few_fixes_without_corrections_do_not_spoil_those_with_them(session: Session) -> None:
-    assert receiver_share(claiming(session, 0.95).gnss, GraphOptions().offset_sigma[0]) == receiver_share(
-        claiming(session, 1.0).gnss, GraphOptions().offset_sigma[0]
-    )
-
-
-def test_fixes_that_are_some_times_worse_than_usual_are_of_the_same_receiver(session: Session) -> None:
-    reported = np.where(np.arange(len(session.gnss)) % 3 == 0, 3.0 * METRES, METRES)
-    uneven = replace(session, gnss=replace(session.gnss, sigma_horizontal=reported))
-    assert receiver_share(uneven.gnss, GraphOptions().offset_sigma[0]) == receiver_share(
-        claiming(session, 0.0).gnss, GraphOptions().offset_sigma[0]
-    )
+    reported = np.where(np.arange(n) < 0.75 * n, CENTIMETRES, METRES)
+    mixed = replace(session, gnss=replace(session.gnss, sigma_horizontal=reported))
+    share = reported_share(mixed.gnss, GraphOptions().offset_sigma[0])
+    assert share == pytest.approx(np.sqrt(0.25) * METRES / GraphOptions().offset_sigma[0], rel=0.02)
 
 
 @pytest.mark.parametrize(("claimed", "share"), [(0.5, 0.25), (4.0, 1.0), (5.6, 1.0), (9.0, 1.59), (100.0, 10.0)])
@@ -51,4 +32,4 @@ def test_a_receiver_that_reports_a_far_larger_error_is_accepted(session: Session
     """Receivers say half to twice what they are off by: within that others tell, beyond it is the receiver's own."""
     reported = np.full(len(session.gnss), claimed)
     told = replace(session, gnss=replace(session.gnss, sigma_horizontal=reported))
-    assert receiver_share(told.gnss, GraphOptions().offset_sigma[0]) == pytest.approx(share, rel=0.01)
+    assert reported_share(told.gnss, GraphOptions().offset_sigma[0]) == pytest.approx(share, rel=0.01)
