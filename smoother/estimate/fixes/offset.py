@@ -5,9 +5,9 @@ and along a straight line, by its bias. What the positions do against that path 
 noise is the slow offset, a first-order Gauss-Markov process. Its sigma and time are those of the highest likelihood,
 which a Kalman filter over means of `BIN` seconds finds for many candidates at once.
 
-What that decides (`offset_model`): fixes that scatter by more than a metre are not filtered, and have an offset only if
-they show one. Filtered ones have one as receivers do; how fast it walks is theirs within a minute, its own sigma and
-time once a session is long enough to tell.
+`offset_model` decides by it: fixes that scatter by more than a metre are not filtered, and have an offset only if they
+show one. Filtered ones have one as receivers do: its walk is that of the fixes, its sigma and time only where a session
+is long enough. Where fixes are too few, the walk is the one that was identified with the path.
 
 Sources: Gelb 1974, 3.8 (the process); Schweppe 1965 (likelihood from innovations); Akaike 1974 (the price of a value).
 """
@@ -36,9 +36,6 @@ PRICE = 2.0  # logarithm of likelihood that an offset's two values, which always
 HALF, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
 NONE = 0.005  # of the usual offset, where there is none: a centimetre
 UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
-# of it, north, west and up, for filtered fixes too rare to tell: real ones walk by some decimetres in a minute, and the
-# graph has to find which part of what they are off by is white. From the whole of it, too much would pass for a walk.
-RARE = np.array([0.5, 0.5, 1.0])
 TIMES = 10.0  # taus that a session has to last to tell them
 KNOWN_TAU = 0.3  # sigma of a logarithm, half of what receivers' 30 to 100 s leave open beforehand
 # s, of receivers. What is forgotten sooner are reflections, which a lap brings back again and again. They are most of
@@ -52,10 +49,8 @@ WEIGHTY = 0.5  # weight in the path from which a measurement is one
 # Logarithms of candidates: tau s (what is faster is motion or white, what is slower a constant); walk 2 sigma^2 / tau
 # m^2/s, which the data know best; factor on the white variance that the path found.
 COARSE = (np.log(np.geomspace(10.0, 320.0, 6)), np.log(np.geomspace(1e-4, 10.0, 11)), np.array([-0.7, 0.0, 0.7]))
-QUICK = (np.log(np.geomspace(2.5, 80.0, 6)), np.log(np.geomspace(1e-2, 1e3, 11)), COARSE[2])  # of wild receivers
 WALKS = np.linspace(-9.0, 1.5, 64)  # logarithms of walk over the usual one
 WALK_SPREAD = 3.0  # sigma of these beforehand: receivers of a metre and of a decimetre are both usual
-WILDER = 3.0  # times as fast as usual, as of telephones
 FINER = 3  # times that candidates are taken anew around the best, half as far apart
 AROUND = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 NEAR = tuple(step * np.array([-1.0, 0.0, 1.0]) for step in (0.15, 0.05, 0.1))  # about a sigma in half an hour
@@ -104,14 +99,10 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     """
     lasts = float(fixes_t[-1] - fixes_t[0])
     seen = drift_against_doppler(fixes_t, path)
-    if path.wander > WILDER and has_doppler(path) and len(seen.t) >= FEWEST:  # by metres within seconds
-        fit = fit_offset(seen, QUICK)
-        return OffsetModel(usual.sigma * max(fit.sigma / usual.sigma[0], 1.0), fit.tau)
     if not shows_offset(fixes_t, seen, path):
-        if not is_filtered:
-            return OffsetModel(usual.sigma * UNTOLD, usual.tau)
-        is_rare = has_doppler(path) and follows_positions(fixes_t, path)
-        return OffsetModel(usual.sigma * RARE, usual.tau) if is_rare else usual
+        if has_doppler(path):
+            return OffsetModel(usual.sigma * path.wander, usual.tau)
+        return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
     if is_filtered and lasts <= TIMES * max(usual.tau, LONGEST):
         return _walked(seen, usual)
     fit = fit_offset(seen)

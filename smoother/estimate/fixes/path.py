@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, IntArray, median
 from smoother.estimate.factors.rows import Rows
 from smoother.estimate.fixes import path_noise as noise
 from smoother.estimate.fixes.path_graph import (
@@ -36,12 +36,13 @@ from smoother.estimate.fixes.path_graph import (
 from smoother.estimate.fixes.screen import plausible_positions, plausible_velocities, with_courses
 from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
 from smoother.estimate.solvers.covariance import IndeterminateError
-from smoother.samples import Session
+from smoother.samples import GnssFixes, Session
 
 GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the first rounds, while the path is rough
 FIRST_ROUNDS = 2  # with noise as it starts where there are outliers, so that they cannot inflate it
 # changes that end the rounds, the first two relative, the last in parts of the usual change of the latency
-SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT, SETTLED_LATENCY = 0.03, 0.1, 0.1, 0.5
+SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT, SETTLED_LATENCY = 0.03, 0.1, 0.1, 1.5
+PUNCTUAL = 1e-6  # s, change of the latency where there is none
 UNKNOWN_HEIGHT = 100.0  # m, sigma about the origin's height where no fix has one
 RELAXATION = 0.8  # of the constants' steps: lag and acceleration form a product, and full steps swing
 HOLE = 10.0  # s; nodes are closer, but where pieces of a long session meet in a pause
@@ -56,8 +57,9 @@ class GnssPathOptions:
     position_latency, velocity_latency s, whole delay of each; a position latency is never observable here (default 0).
     offset_sigma m (north, west, up) and offset_tau s: the slow error of receivers as a population. Four of them carried
     beside RTK for 840 s had 1.0-4.0 m rms per horizontal axis (median 1.9), 1.8-10 m up, correlation 0.4 after 60 s.
-    latency_change_sigma, latency_change_tau s: receivers are punctual unless their fixes show otherwise, but positions
-    of phones come late by up to two seconds, by a time that varies over some seconds.
+    latency_change s/m: usual change of the latency per metre of reported accuracy, forgotten after latency_change_tau
+    s. Receivers are punctual unless their fixes show otherwise, but positions of phones, which report 5 m and more,
+    come late by up to two seconds, by a time that varies over some seconds.
     position_sigma, velocity_sigma: white noise (horizontal, up), m and m/s; jerk_density (horizontal, up) in
     m/s^3/sqrt(Hz).
     lag_prior: expectation and sigma, s, of Doppler's lag; kart logs show 0.04-0.14 s. velocity_bias_sigma m/s: of the
@@ -71,7 +73,7 @@ class GnssPathOptions:
     velocity_latency: float | None = None
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
-    latency_change_sigma: float = 0.003
+    latency_change: float = 2e-4
     latency_change_tau: float = 10.0
     position_sigma: tuple[float, float] | None = None
     velocity_sigma: tuple[float, float] | None = None
@@ -213,13 +215,16 @@ class GnssPath:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What stays the same through the rounds. scale (M, 4): sigma of each fix over the usual; start as in PathPrior."""
+    """What stays the same through the rounds. scale (M, 4): sigma of each fix over the usual; start as in
+    PathPrior; latency_change s, the usual one.
+    """
 
     measured: Measured
     scale: Array
     start: tuple[Array, Array]
     lag: tuple[float, float]
     options: GnssPathOptions
+    latency_change: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +260,14 @@ def _fit(session: Session, options: GnssPathOptions) -> GnssPath:
     true_t = fixes.t - latency
     measured = Measured(true_t, position_n, fixes.velocity_n, fixes.speed)
     weight = _first_weights(measured)
-    known = _Known(measured, noise.relative_sigmas(fixes), _anchor(position_n, weight), lag, options)
+    known = _Known(
+        measured,
+        noise.relative_sigmas(fixes),
+        _anchor(position_n, weight),
+        lag,
+        options,
+        _latency_change(fixes, options),
+    )
     state = _first_state(known, _node_times(true_t, fixes.t[-1], lag[0], options), weight)
     rounds = 0
     for rounds in range(1, options.max_iterations + 1):
@@ -291,6 +303,13 @@ def _thinned(t: Array, gap: float) -> Array:
     while (i := bisect_left(times, times[i] + gap, i)) < len(times):
         chosen.append(i)
     return np.asarray(t[chosen])
+
+
+def _latency_change(fixes: GnssFixes, options: GnssPathOptions) -> float:
+    """Usual change of the latency, s; next to none where the receiver reports no accuracy."""
+    assert fixes.sigma_horizontal is not None
+    reported = fixes.sigma_horizontal[np.isfinite(fixes.sigma_horizontal)]
+    return max(options.latency_change * float(median(reported)), PUNCTUAL) if reported.size else PUNCTUAL
 
 
 def _first_weights(measured: Measured) -> Array:
@@ -364,7 +383,7 @@ def _relaxed(before: Nodes, after: Nodes) -> Nodes:
 def _prior(known: _Known, now: noise.PathNoise) -> PathPrior:
     level, up = (WhiteJerk(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
     options, (start, start_sigma) = known.options, known.start
-    slow = np.array([*options.offset_sigma, options.latency_change_sigma]) * now.wander[[0, 0, 1, 2]]
+    slow = np.array([*options.offset_sigma, known.latency_change]) * now.wander[[0, 0, 1, 2]]
     tau = np.array([options.offset_tau] * 3 + [options.latency_change_tau])
     return PathPrior((level, up), slow, tau, start, start_sigma, known.lag, options.velocity_bias_sigma)
 

@@ -51,7 +51,8 @@ def test_positions_late_by_a_varying_time_are_put_right(lap_fixes: Make, lap_mot
     late = np.interp(t, np.arange(0.0, 320.0, 10.0), rng.uniform(-0.8, 0.8, 32))
     position = lap_motion(t - late) + rng.normal(size=(len(t), 3)) * 0.5
     lat, lon, alt = nwu_to_geodetic(position, made.session.origin)
-    path = fit_gnss_path(with_fixes(made.session, lat_deg=lat, lon_deg=lon, alt_m=alt))
+    accuracy = np.full(len(t), 5.0)
+    path = fit_gnss_path(with_fixes(made.session, lat_deg=lat, lon_deg=lon, alt_m=alt, sigma_horizontal=accuracy))
     raw, smoothed = position - lap_motion(t), path.at(t).track_n - lap_motion(t)
     assert horizontal_rms(raw) > 5.0
     assert horizontal_rms(smoothed) < 0.3 * horizontal_rms(raw)
@@ -167,13 +168,14 @@ def test_fixes_that_report_a_bad_accuracy_count_less_and_the_level_of_the_report
     position[session.gnss.t < 8.0, :2] += 8.0
     lat, lon, alt = nwu_to_geodetic(position, session.origin)
     shifted = with_fixes(session, lat_deg=lat, lon_deg=lon, alt_m=alt, sigma_horizontal=reported)
-    path = fit_gnss_path(shifted)
+    punctual = GnssPathOptions(latency_change=0.0)
+    path = fit_gnss_path(shifted, punctual)
     assert path.position_scale[0] == pytest.approx(60.0)
     t = np.arange(session.gnss.t[0], 7.0, 0.1)
     apart = path.at(t).track_n - fit_gnss_path(session).at(t).track_n
     assert np.abs(apart[:, :2]).max() < 3.0  # of 8 m, without a single fix rejected
-    louder = fit_gnss_path(replace(shifted, gnss=GnssFixes(**{**vars(shifted.gnss), "sigma_horizontal": 7 * reported})))
-    np.testing.assert_allclose(louder.position_n, path.position_n, atol=1e-6)
+    louder = with_fixes(shifted, sigma_horizontal=7 * reported)
+    np.testing.assert_allclose(fit_gnss_path(louder, punctual).position_n, path.position_n, atol=1e-6)
 
 
 @pytest.mark.parametrize(
