@@ -1,8 +1,8 @@
 """Whether the velocities of fixes agree with the positions that they come with, by less than a single fix shows.
 
 A magnetic course, the speed of a wheel, a course that was made of degrees as if these were metres: each velocity agrees
-with its neighbours, and over a lap they lead somewhere else than the positions go. What both say of steps of some
-seconds is compared over the whole session. What neither the wander of the fixes nor the delay, the filter or the bias
+with its neighbours, but over a lap their integral leaves the positions. Steps of some seconds by both are compared over
+the whole session. What neither the wander of the fixes nor the delay, the filter or the bias
 of the velocities explains is a factor of the speeds, a turn of the courses, or an error of the courses that goes with
 their direction, as a Fourier series of two terms has it.
 
@@ -25,13 +25,13 @@ from smoother.fit.spline import CubicSpline
 from smoother.samples import Problem, Session
 from smoother.units import DEG
 
-# codes of the problems that say so
+# problem codes
 TURNED, SCALED, WRONG = "gps_velocity_turned", "gps_velocity_scaled", "gps_course_wrong"
 SIGMAS = 5.0
 # and as much as counts: at 17 m/s 0.05 m/s, which is a sigma of smoothed velocities; recorded receivers stay below
 LEAST_SHARE, LEAST_TURN = 0.003, 0.2 * DEG
 STEP, AVERAGED = 2.0, 1.0  # s from one place to the next, and of the fixes that are averaged for each
-SLOWEST_FIXES = 1.1  # s between fixes; between slower ones a kart goes round a bend
+SLOWEST_FIXES = 1.1  # s between fixes; at longer intervals a kart takes a whole bend
 MOVING = 3.0  # m/s; at rest receivers hold their place, and would seem to wander less than they do
 PLACE = 25.0  # m, as far as a wall spoils positions
 FEWEST_STEPS, FEWEST_PLACES = 30, 10
@@ -70,7 +70,7 @@ class Disagreement:
 
     @property
     def is_course_wrong(self) -> bool:
-        """Whether the courses err by their direction, so that none is of use."""
+        """Whether the courses err by their direction, so that none is used."""
         return bool(np.any(self.value[BY_DIRECTION]))
 
 
@@ -78,7 +78,7 @@ NOTHING = Disagreement(np.zeros(N_FOUND), np.full(N_FOUND, np.inf))
 
 
 def disagreement(session: Session) -> Disagreement:
-    """Find how the velocities of the fixes are turned and scaled against their positions; nothing where few tell."""
+    """Find how the velocities of the fixes are turned and scaled against their positions, if steps are enough."""
     steps = _steps_of(session)
     if steps is None:
         return NOTHING
@@ -166,7 +166,7 @@ class _Steps:
 
 
 def _steps_of(session: Session) -> _Steps | None:
-    """Steps of a session, None where they are too few, or in too few places, to tell anything."""
+    """Steps of a session, None where they are too few, or in too few places."""
     t, position_n, velocity_n = session.gnss.t, session.fix_position_n[:, :2], session.gnss.velocity_n[:, :2]
     known = np.flatnonzero(has_velocities(position_n) & has_velocities(velocity_n))
     runs = [rows for rows in unbroken_runs(t, known) if t[rows[-1]] - t[rows[0]] > 2.0 * STEP]
@@ -191,9 +191,9 @@ def _steps(t: Array, position: Array, velocity: Array) -> tuple[Array, ...]:
     at = averaged[np.unique(np.searchsorted(averaged[:, 0], np.arange(averaged[0, 0], averaged[-1, 0], STEP)))]
     steps, middle = np.diff(at, axis=0), 0.5 * (at[1:, 1:3] + at[:-1, 1:3])
     lasts = steps[:, 0]
-    told = (lasts < 2.0 * STEP) & (np.hypot(steps[:, 3], steps[:, 4]) > MOVING * lasts)
-    steps = steps[told]
-    return (*(steps[:, k : k + 2] for k in (1, 3, 5, 7)), steps[:, 0], middle[told])
+    usable = (lasts < 2.0 * STEP) & (np.hypot(steps[:, 3], steps[:, 4]) > MOVING * lasts)
+    steps = steps[usable]
+    return (*(steps[:, k : k + 2] for k in (1, 3, 5, 7)), steps[:, 0], middle[usable])
 
 
 def _compared(steps: _Steps) -> tuple[Array, Array]:

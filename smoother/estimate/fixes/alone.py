@@ -1,11 +1,10 @@
 """The smoother for sessions without a usable IMU: the path through the fixes, as a Trajectory.
 
-Positions are in the frame of the fixes: the path with the slow GPS offset left in it, because telling the two apart
-takes a better Doppler than real receivers have. (Of four receivers carried beside RTK for 840 s, taking out the offset
-that their own Doppler showed made three worse, one by a factor of two.) Attitude stays unknown; acceleration and yaw
-rate are those of a level vehicle that points where it goes, and unknown where it hardly moves. How late the fixes are
-nothing tells: absolute positions are as unsure as that makes them, while speed, line and laps, which a constant delay
-does not change, are given apart from it, and the report says so.
+Positions are in the frame of the fixes: the path with the slow GPS offset left in it, because separating the two takes
+a better Doppler than real receivers have. (Of four receivers carried beside RTK for 840 s, removing the offset by their
+own Doppler made three worse, one by a factor of two.) Attitude is unknown; acceleration and yaw rate are those of a
+level vehicle along its course, and unknown where it hardly moves. The latency of the fixes is not observable: it is in
+the sigma of absolute positions, but not of speed, line and laps, which a constant latency does not change.
 """
 
 import time
@@ -27,7 +26,7 @@ from smoother.estimate.fixes.reported_noise import (
     wander_from_laps,
     wander_of_fixes,
 )
-from smoother.estimate.fixes.settling import settling_problems, unsettled, without_positions
+from smoother.estimate.fixes.screen import settling_problems, unsettled, without_positions
 from smoother.fit.lap_registration import register_laps
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
@@ -110,7 +109,7 @@ class GnssSmoother:
 
 
 def _offset(session: Session, path: GnssPath, options: GnssPathOptions) -> tuple[OffsetModel, OffsetModel]:
-    """The slow offset of the fixes as far as Doppler tells, else the population's; and what is to be said of it."""
+    """The slow offset of the fixes as far as Doppler shows it, else the population's; and the same as reported."""
     usual = OffsetModel(np.asarray(options.offset_sigma), options.offset_tau)
     population = usual.sigma * reported_share(session.gnss, float(usual.sigma[0]))
     white = float(path.position_sigma[0])
@@ -148,7 +147,7 @@ def _widened(t: Array, motion: GnssMotion, sigma: GnssPathSigmas, path: GnssPath
 
 
 def _body_motion(motion: GnssMotion, sigma: GnssPathSigmas, options: GnssOnlyOptions) -> tuple[Array, Array]:
-    """Acceleration and rotation rate (N, 3) of a level vehicle that points where it goes, NaN where it hardly moves."""
+    """Acceleration and rotation rate (N, 3) of a level vehicle along its course, NaN where it hardly moves."""
     velocity, acceleration = motion.velocity_n[:, :2], motion.acceleration_n[:, :2]
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     moves = speed > np.maximum(options.slowest, options.speed_sigmas * sigma.velocity_n[:, :2].max(axis=1))
@@ -166,7 +165,7 @@ def _is_latency_stated(session: Session, options: GnssOnlyOptions) -> bool:
 
 
 def _unknown_delay(latency_sigma: float) -> tuple[Problem, ...]:
-    """What is to be said where nothing tells how late the fixes are, give or take latency_sigma s."""
+    """The problem of an unknown latency of the fixes, of sigma latency_sigma s."""
     if latency_sigma == 0.0:
         return ()
     text = (
@@ -272,8 +271,8 @@ def _of_fixes(session: Session, path: GnssPath, offset: OffsetModel) -> dict[str
     t = session.gnss.t - path.position_latency
     after = np.clip(np.searchsorted(path.t, t), 1, len(path.t) - 1)
     step = path.t[after] - path.t[after - 1]
-    gone = np.clip((t - path.t[after - 1]) / step, 0.0, 1.0)
-    wandered = 2.0 * offset.sigma**2 / offset.tau * np.mean(step * gone * (1.0 - gone))
+    part = np.clip((t - path.t[after - 1]) / step, 0.0, 1.0)
+    wandered = 2.0 * offset.sigma**2 / offset.tau * np.mean(step * part * (1.0 - part))
     least = LEAST_SIGMA[[0, 0, 1]]
     found = {"gps_position_noise": scatter_of_fixes(path.position_sigma, path.position_spread, wandered, least)}
     if _has_velocity(path):

@@ -23,7 +23,7 @@ from smoother.estimate.fixes.slow_errors import SlowVelocity
 from smoother.samples import GnssFixes
 
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
-SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes before they tell
+SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes at first
 BIN = 2.0  # s, of the means: a fifth of the shortest time that counts as slow
 GAP = 1.5  # s without Doppler, over which it cannot be added up
 WILD = 5.0  # m/s^2, what is unknown of the motion over a gap
@@ -32,15 +32,14 @@ ANYWHERE = 1e3  # m, sigma of where Doppler's path began
 FEWEST = 30  # means
 LEAST_DOPPLER = 0.5  # share of the fixes with Doppler
 PRICE = 2.0  # logarithm of likelihood that an offset's two values, which always fit a little better, have to be worth
-# Receivers report half to twice the error of their fixes, of both axes; and no more than ten times is believed.
+# Receivers report half to twice the error of their fixes, of both axes; at most ten times the usual is used.
 HALF, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
 NONE = 0.005  # of the usual offset, where there is none: a centimetre
 UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
-TIMES = 10.0  # taus that a session has to last to tell them
+TIMES = 10.0  # taus that a session has to last for its own sigma and tau
 KNOWN_TAU = 0.3  # sigma of a logarithm, half of what receivers' 30 to 100 s leave open beforehand
-# s, of receivers. What is forgotten sooner are reflections, which a lap brings back again and again. They are most of
-# what there is to see, and the receiver's own wander goes on unseen beside them: that it is not slower than what was
-# found is observable only in a session of TIMES the longest.
+# s, of receivers. Faster errors are reflections, which return every lap. They are most of what residuals show, beside the
+# receiver's own wander, which is observable only in a session of TIMES the longest.
 SHORTEST, LONGEST = 30.0, 100.0
 # m of white noise, below which one fix stands for its bin: a mean of a path that wanders by more than its fixes scatter
 # would wander less over a bin than over two, and seem to last longer.
@@ -51,7 +50,7 @@ WEIGHTY = 0.5  # weight in the path from which a measurement is one
 COARSE = (np.log(np.geomspace(10.0, 320.0, 6)), np.log(np.geomspace(1e-4, 10.0, 11)), np.array([-0.7, 0.0, 0.7]))
 WALKS = np.linspace(-9.0, 1.5, 64)  # logarithms of walk over the usual one
 WALK_SPREAD = 3.0  # sigma of these beforehand: receivers of a metre and of a decimetre are both usual
-FINER = 3  # times that candidates are taken anew around the best, half as far apart
+FINER = 3  # refinements around the best candidate, each of half the spacing
 AROUND = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 NEAR = tuple(step * np.array([-1.0, 0.0, 1.0]) for step in (0.15, 0.05, 0.1))  # about a sigma in half an hour
 
@@ -93,9 +92,9 @@ class Drift:
 
 
 def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered: bool) -> OffsetModel:
-    """Return what the fixes of `path`, stamped fixes_t (M,) s, say of their offset, `usual` as far as they are too few.
+    """Return the offset of the fixes of `path`, stamped fixes_t (M,) s; `usual` as far as they are too few.
 
-    Up is taken to wander in proportion, since hardly any receiver says its vertical speed.
+    The height wanders in proportion, since hardly any receiver measures vertical speed.
     """
     lasts = float(fixes_t[-1] - fixes_t[0])
     seen = drift_against_doppler(fixes_t, path)
@@ -118,7 +117,7 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
 def reported_share(fixes: GnssFixes, usual: float) -> float:
     """Horizontal accuracy that a receiver reports over the usual slow error, m: 1 where it reports none.
 
-    Better and much worse receivers are believed: a session shows no wander that is slower than the session is long.
+    A session shows no wander that is slower than the session is long; there the receiver's own report counts.
     """
     if fixes.sigma_horizontal is None or not np.any(np.isfinite(fixes.sigma_horizontal)):
         return 1.0
@@ -146,8 +145,8 @@ def unseen_variance(offset: OffsetModel, white: float, population: Array, n_fixe
 def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:
     """Return the usual offset with a sigma at which it walks, over seconds, as the fixes show.
 
-    Sigma and time together say how fast it walks, and that is what a fix is worth against the next one. What it amounts
-    to over minutes stays open, and is for the reader of absolute positions to be told.
+    Sigma and time together define the walk, which weighs a fix against the next one. Its size over minutes remains
+    unknown and belongs to the sigma of absolute positions.
     """
     mean = math.log(2.0 * usual.sigma[0] ** 2 / usual.tau)
     candidates = _grid((np.array([math.log(usual.tau)]), mean + WALKS, COARSE[2]))
@@ -157,12 +156,12 @@ def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:
 
 
 def shows_offset(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
-    """Whether there are means and Doppler enough to say anything of the offset of the fixes, stamped fixes_t (M,) s."""
+    """Whether there are enough means and Doppler to estimate the offset of the fixes, stamped fixes_t (M,) s."""
     return len(seen.t) >= FEWEST and has_doppler(path) and not follows_positions(fixes_t, path)
 
 
 def is_reported(fixes_t: Array, path: GnssPath) -> bool:
-    """Whether the fixes of `path`, stamped fixes_t (M,) s, say anything of their offset."""
+    """Whether the fixes of `path`, stamped fixes_t (M,) s, show their offset."""
     return shows_offset(fixes_t, drift_against_doppler(fixes_t, path), path)
 
 
@@ -172,7 +171,7 @@ def has_doppler(path: GnssPath) -> bool:
 
 
 def follows_positions(fixes_t: Array, path: GnssPath) -> bool:
-    """Whether the motion from one fix, stamped fixes_t (M,) s, to the next says less of the way than positions do.
+    """Whether positions determine the way from one fix, stamped fixes_t (M,) s, to the next better than motion does.
 
     White jerk leaves the way between two states open by density times step^2.5 / sqrt(720), Doppler by its noise times
     the step. Where the former is more, which is from about one fix a second on, the path goes wherever the positions

@@ -29,12 +29,13 @@ from smoother.estimate.fixes.path_graph import (
     Nodes,
     PathPrior,
     Solution,
+    WhiteJerk,
     fix_rows,
     prior_rows,
+    quintic_basis,
     solve,
 )
 from smoother.estimate.fixes.screen import plausible_positions, plausible_velocities, with_courses
-from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
 from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.samples import GnssFixes, Session
 
@@ -46,7 +47,7 @@ PUNCTUAL = 1e-6  # s, change of the latency where there is none
 UNKNOWN_HEIGHT = 100.0  # m, sigma about the origin's height where no fix has one
 RELAXATION = 0.8  # of the constants' steps: lag and acceleration form a product, and full steps swing
 HOLE = 10.0  # s; nodes are closer, but where pieces of a long session meet in a pause
-ROAMING = 10.0, 20.0  # m/s of a vehicle that nobody sees, and s for which it goes one way
+ROAMING = 10.0, 20.0  # m/s of an unobserved vehicle, and s for which it keeps its direction
 LAG_RANGE, END_MARGIN = (-1.5, 0.5), 0.1  # s: a lag beyond belief, and what nodes reach farther
 
 
@@ -138,8 +139,8 @@ class GnssPath:
     position_sigma (3,) m and velocity_sigma (3,) m/s white noise per axis; jerk_density (3,) m/s^3/sqrt(Hz).
     position_spread, velocity_spread (3,): sigmas of the logarithms of these.
     position_scale, up_scale, velocity_scale (M,) factor of a fix's own sigma over the usual. position_latency s.
-    velocity_bias and its sigma (3,) m/s: mean of Doppler minus path. wander: how fast the slow error of the fixes goes
-    on the level, in parts of what is usual.
+    velocity_bias and its sigma (3,) m/s: mean of Doppler minus path. wander: sigma of the level
+    offset of the fixes over the usual one.
     """
 
     t: Array
@@ -170,7 +171,7 @@ class GnssPath:
     wander: float = 1.0
 
     def at(self, t: Array) -> GnssMotion:
-        """The path at times of truth t (N,) s; outside the nodes it goes on at constant velocity.
+        """The path at times of truth t (N,) s; outside the nodes velocity is constant.
 
         Over hours without a fix, where pieces of a long session meet, it is a straight line.
         """
@@ -368,7 +369,7 @@ def _improve(known: _Known, now: _State, number: int) -> _State:
 
 
 def _relaxed(before: Nodes, after: Nodes) -> Nodes:
-    """The nodes after a step that goes a part of the way for the constants, and with latencies that change about 0."""
+    """The nodes after a step, of which the constants take a part, with latencies that change about 0."""
     bias = before.bias + RELAXATION * (after.bias - before.bias)
     if after.lag == before.lag:
         return replace(after, bias=bias)

@@ -17,7 +17,7 @@ from smoother.samples import GnssFixes
 
 # By kind (position, height, velocity, climb): m, m, m/s, m/s.
 START_SIGMA = np.array([1.0, 2.0, 0.4, 0.6])  # wide, so that a rough start rejects nothing true
-# What is leant on where the data cannot tell. Positions of receivers that filter scatter by 0.01-0.03 m from one to the
+# Prior where the data do not determine it. Positions of receivers that filter scatter by 0.01-0.03 m from one to the
 # next, those of others by 0.2 and more: between both, neither line nor offset is far off.
 USUAL_SIGMA = np.array([0.1, 0.175, 0.2, 0.3])
 LEAST_SIGMA = np.array([0.02, 0.03, 0.02, 0.02])  # below it a receiver repeats its own filter, not the truth
@@ -26,15 +26,15 @@ START_JERK = np.array([6.0, 0.5])  # m/s^3/sqrt(Hz): a kart's cornering; hardly 
 LEAST_JERK = np.array([0.2, 0.1])
 START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
 LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
-WITNESSED = 0.5  # share of the fixes with a velocity
+DOPPLER_SHARE = 0.5  # share of the fixes with a velocity
 LEAST_WANDER = 0.02  # of the usual slow error
 START_WANDER = np.array([1.0, 1.0, 30.0])  # of the slow errors, in parts of the usual
 SLOW_GROUPS = LEVEL, UP, slice(3, 4)  # of the slow errors: offset, latency
-WORST_REPORTED = 1e6  # times the usual; damaged files say more, of which squares would overflow
+WORST_REPORTED = 1e6  # times the usual; damaged files have more, of which squares would overflow
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
 KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
-# What nobody need call an outlier, m and m/s, added to sigma when weighing. Receivers wander and converge again by
-# metres within seconds; without Doppler as a witness nothing tells that from driving, so the path stays with fixes.
+# No outlier, m and m/s, added to sigma when weighing. Receivers wander and converge again by metres within seconds;
+# without Doppler that cannot be distinguished from driving, so the path stays with the fixes.
 UNREMARKABLE = np.array([0.5, 3.0, 0.3, 0.3])
 UNREMARKABLE_ALONE = 1.0  # m, level position of a fix without Doppler
 IN = 0.5  # weight from which a measurement counts as accepted
@@ -45,8 +45,8 @@ BULK, BULK_SIZE = 0.75, (1.665, 1.150, 1.665, 1.150)  # a quantile, and that of 
 class PathNoise:
     """sigma (4,) by kind, m or m/s; jerk (2,) m/s^3/sqrt(Hz); vehicle (2, 2) usual velocity and acceleration.
 
-    spread (4,): sigma of the logarithm of each sigma. wander (3,): how fast the offset of the fixes goes, level
-    and up, and their latency, in parts of what is usual.
+    spread (4,): sigma of the logarithm of each sigma. wander (3,): sigmas of the offset, level and up,
+    and of the change of the latency, over the usual ones.
     """
 
     sigma: Array
@@ -64,7 +64,7 @@ def first_noise() -> PathNoise:
 def relative_sigmas(fixes: GnssFixes) -> Array:
     """Sigma of each fix over the session's usual, (M, 4) by kind, never below 1.
 
-    What receivers report is off by a factor of its own in each session, but says when a fix is worse than others.
+    Reported accuracies are wrong by a factor of the session, but right in that a fix is worse than others.
     """
     assert fixes.sigma_horizontal is not None and fixes.sigma_up is not None
     assert fixes.sigma_velocity is not None and fixes.hdop is not None
@@ -153,29 +153,29 @@ def identify(
     scale (M, 4): of each fix; driven: rows of the jerk, level and up, and of the slow errors.
     """
     velocity = np.isfinite(judged[KINDS.index("velocity")].variance[:, 0])
-    witnessed = float(np.mean(velocity)) > WITNESSED
+    has_doppler = float(np.mean(velocity)) > DOPPLER_SHARE
     return replace(
         now,
-        sigma=np.array([_sigma(it, scale[:, kind], kind, witnessed=witnessed) for kind, it in enumerate(judged)]),
+        sigma=np.array([_sigma(it, scale[:, kind], kind, has_doppler=has_doppler) for kind, it in enumerate(judged)]),
         jerk=np.array([_jerk(it, now.jerk[i], i) for i, it in enumerate(driven[:2])]),
-        wander=_wander(driven[2], now.wander) if witnessed else np.ones(3),
+        wander=_wander(driven[2], now.wander) if has_doppler else np.ones(3),
         vehicle=_vehicle(solution, now.vehicle, bool(np.isfinite(judged[KINDS.index("height")].variance).any())),
         spread=np.array([_spread(it, name) for name, it in zip(KINDS, judged, strict=True)]),
     )
 
 
-def _sigma(it: Judged, scale: Array, kind: int, *, witnessed: bool) -> float:
+def _sigma(it: Judged, scale: Array, kind: int, *, has_doppler: bool) -> float:
     """Squared residuals over redundancy; the less the measurements check one another, the more the usual counts.
 
-    Where velocities are witnesses of positions, these show both their noise and how their slow error goes.
+    With velocities, positions show both their noise and their slow error.
     """
     measured = np.isfinite(it.variance)
     weight = np.where(measured, it.weight[:, None], 0.0)
     count, checked = float(np.sum(weight)), float(np.sum(weight * (1.0 - it.leverage)))
-    lean = 0.0 if witnessed and KINDS[kind] in ("position", "height") else count
-    leaning = PRIOR_COUNT + lean * (1.0 - checked / max(count, 1.0)) ** 3
+    prior = 0.0 if has_doppler and KINDS[kind] in ("position", "height") else count
+    count_of_prior = PRIOR_COUNT + prior * (1.0 - checked / max(count, 1.0)) ** 3
     squares = float(np.sum(weight * (it.residual / scale[:, None]) ** 2))
-    sigma = np.sqrt((squares + leaning * USUAL_SIGMA[kind] ** 2) / (checked + leaning))
+    sigma = np.sqrt((squares + count_of_prior * USUAL_SIGMA[kind] ** 2) / (checked + count_of_prior))
     return float(max(sigma, LEAST_SIGMA[kind]))
 
 

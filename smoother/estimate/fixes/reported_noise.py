@@ -13,12 +13,12 @@ from smoother.fit.noise_spread import ANY_NOISE
 from smoother.trajectory import Identified
 
 OBSERVABLE = 0.5  # any value is observable when its sigma is below this share of its prior's
-# Sigmas of the logarithms of wander and time where no session tells them: receivers wander by half to twice of what is
-# usual, and forget it within 30 to 150 s.
+# Sigmas of the logarithms of wander and time where a session does not show them: receivers wander by half to twice the
+# usual, for 30 to 150 s.
 ANY_WANDER, ANY_TIME = 0.5, 0.6
-# Of the white noise of fixes that no session tells, by its unit: receivers that filter have centimetres, others metres.
+# Of white noise where a session does not show it, by its unit: receivers that filter have centimetres, others metres.
 ANY_SCATTER = {"m": 0.3, "m/s": 0.15}
-DIGIT = 0.01  # m, and m/s: less than that no receiver says, and what is found to be less is not told
+DIGIT = 0.01  # m and m/s, resolution of receivers
 UNSURE_WALK = 0.5  # of what the wander between keyframes takes off the noise of fixes
 UNSEEN_WALK = 0.1  # of the walk of Doppler that is added up
 
@@ -72,37 +72,37 @@ def wander_of_fixes(offset: OffsetModel, hidden: Array) -> dict[str, Identified]
     How large the offset is shows with how long it lasts, in sessions of many times that; else it is a guess at best.
     hidden (3,) m: see :func:`hidden_wander`.
     """
-    told = math.isfinite(offset.tau_spread)
-    spread, source = (offset.tau_spread, "identified") if told else (ANY_TIME, "default")
+    found = math.isfinite(offset.tau_spread)
+    spread, source = (offset.tau_spread, "identified") if found else (ANY_TIME, "default")
     of_sigma = min(spread, ANY_WANDER)
     return {
         "gps_offset_sigma": Identified(
             offset.sigma.tolist(),
             np.hypot(of_sigma * offset.sigma, hidden).tolist(),
             "m",
-            told,
+            found,
             source,
         ),
-        "gps_offset_tau": Identified(offset.tau, spread * offset.tau, "s", told, source),
+        "gps_offset_tau": Identified(offset.tau, spread * offset.tau, "s", found, source),
     }
 
 
 def wander_from_laps(laps: LapRegistration, otherwise: Mapping[str, Identified]) -> dict[str, Identified]:
-    """Return the same as laps show it; they say nothing of the height, which stays as it is `otherwise`.
+    """Return the same as laps show it; the height is that of `otherwise`.
 
     They show the change over a lap, and leave open which part of it is the size of the wander and which its time.
     """
     own = laps.sigma * laps.sigma_spread
     before = otherwise["gps_offset_sigma"]
     up, of_up = (float(np.ravel(np.asarray(values, dtype=np.float64))[2]) for values in (before.value, before.sigma))
-    told = laps.sigma_spread < ANY_WANDER
+    found = laps.sigma_spread < ANY_WANDER
     return {
         "gps_offset_sigma": Identified(
             [laps.sigma, laps.sigma, up],
             [own, own, of_up],
             "m",
-            told,
-            "identified" if told else "default",
+            found,
+            "identified" if found else "default",
         ),
         "gps_offset_tau": Identified(laps.tau, laps.tau * laps.tau_spread, "s", False, "default"),
         "gps_offset_change": Identified(laps.change, laps.change * laps.change_spread, "m", True, "identified"),

@@ -1,4 +1,4 @@
-"""The slow errors of a receiver, told apart by laps: of its positions, and of the Doppler that a path follows.
+"""The slow errors of a receiver, separated by laps: of its positions, and of the Doppler that a path follows.
 
 Fixes wander beside such a path by the difference of both. Laps show how far the positions themselves change from lap to
 lap (`smoother.fit.lap_registration`). What the difference changes by from lap to lap beyond that, and beyond what the
@@ -63,9 +63,9 @@ class SlowVelocity:
 # Two modules in one car have 0.0065 m/s and 30 s, a better receiver beside RTK too little to be seen; in between.
 DOPPLER = SlowVelocity(0.005, 30.0)
 
-MOST_LAPS = 60  # that are looked at together: more say hardly more
+MOST_LAPS = 60  # that are compared; more add little
 WITHIN = 6  # times of a lap that stand for all of it
-LOOSE = 100.0  # m, of a prior that says nothing
+LOOSE = 100.0  # m, of an uninformative prior
 LEAST = 0.01  # m, of a mean of the drift over a lap
 # Candidates: logarithms of sigma m and tau s of positions, and of sigma m/s of Doppler; what is usual of the latter.
 SIGMAS, TAUS = np.log(np.geomspace(0.02, 6.0, 16)), np.log(np.geomspace(20.0, 600.0, 6))
@@ -85,13 +85,13 @@ class SlowErrors:
         left = 1.0 / self.sigma**2 - 1.0 / sigma**2
         return min(1.0 / math.sqrt(max(left, 1e-12)), LOOSE)
 
-    def parted(self, apart: Array) -> Array:
-        """Variance (N,) m^2 of the change over `apart` (N,) s of what is given to the one and is the other's.
+    def parted(self, lag: Array) -> Array:
+        """Variance (N,) m^2 of the change over `lag` (N,) s of what is attributed to the one and belongs to the other.
 
         Of a sum of two independent normals with variances V and W, either is known to V W / (V + W).
         """
-        own = -2.0 * self.sigma**2 * np.expm1(-apart / self.tau)
-        way = self.doppler.way(apart)
+        own = -2.0 * self.sigma**2 * np.expm1(-lag / self.tau)
+        way = self.doppler.way(lag)
         return np.asarray(own * way / np.maximum(own + way, 1e-300))
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from smoother.arrays import BoolArray
-from smoother.estimate.fixes.settling import settling_problems, unsettled, without_positions
+from smoother.estimate.fixes.screen import settling_problems, unsettled, without_positions
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.guess import Start, make_start
 from smoother.estimate.initial.options import GraphOptions

@@ -16,7 +16,7 @@ from smoother.estimate.factors.wheels import readings_of
 from smoother.estimate.fixes.offset import reported_share
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.fixes.pieces import fit_path
-from smoother.estimate.fixes.screen import most_say_velocity
+from smoother.estimate.fixes.screen import most_have_velocity
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
 from smoother.estimate.initial.first_noise import first_noise, scale_at_rest, scatter_of
 from smoother.estimate.initial.options import GraphOptions
@@ -68,7 +68,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
     """
     assert session.imu is not None
     path = fit_path(session)
-    is_measured = most_say_velocity(session.gnss.velocity_n)
+    is_measured = most_have_velocity(session.gnss.velocity_n)
     moving = session.gnss.velocity_n if is_measured else session.fix_position_n
     known, t = np.asarray(np.isfinite(moving[:, :2]).all(axis=1)), session.gnss.t
     is_reported = None if known.all() else are_near(t, t[known], REPORTED_NEAR)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from smoother.arrays import Array
 from smoother.config import GnssTiming, SessionConfig
 from smoother.estimate.fixes.path import GnssPathOptions, fit_gnss_path
-from smoother.estimate.fixes.white_jerk import WhiteJerk
+from smoother.estimate.fixes.path_graph import WhiteJerk
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.samples import GnssFixes, Session
 

@@ -8,8 +8,7 @@ import pytest
 from smoother.arrays import Array
 from smoother.estimate.factors.rows import Rows
 from smoother.estimate.fixes import path_graph
-from smoother.estimate.fixes.path_graph import BIAS, LAG, NODE_SIZE, Measured, Nodes, PathPrior
-from smoother.estimate.fixes.white_jerk import WhiteJerk
+from smoother.estimate.fixes.path_graph import BIAS, LAG, NODE_SIZE, Measured, Nodes, PathPrior, WhiteJerk
 from smoother.estimate.model.state import COLUMNS
 from smoother.estimate.solvers.variance_components import posterior_variance
 

@@ -8,7 +8,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.estimate.fixes.alone import GnssSmoother
-from smoother.estimate.fixes.settling import settling_problems, unsettled
+from smoother.estimate.fixes.screen import settling_problems, unsettled
 from smoother.estimate.judge.quality import assess
 from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import nwu_to_geodetic

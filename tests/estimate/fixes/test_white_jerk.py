@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
+from smoother.estimate.fixes.path_graph import WhiteJerk, quintic_basis
 
 # a kart, a walker, a sparse log where the acceleration is forgotten at once, and a car that hardly accelerates
 PRIORS = [
