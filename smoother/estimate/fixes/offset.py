@@ -38,8 +38,8 @@ NONE = 0.005  # of the usual offset, where there is none: a centimetre
 UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
 TIMES = 10.0  # taus that a session has to last for its own sigma and tau
 KNOWN_TAU = 0.3  # sigma of a logarithm, half of what receivers' 30 to 100 s leave open beforehand
-# s, of receivers. Faster errors are reflections, which return every lap. They are most of what residuals show, beside the
-# receiver's own wander, which is observable only in a session of TIMES the longest.
+# s, of receivers. Faster errors are reflections, which return every lap. They are most of what residuals show, and the
+# receiver's own wander is observable beside them only in a session of TIMES the longest.
 SHORTEST, LONGEST = 30.0, 100.0
 # m of white noise, below which one fix stands for its bin: a mean of a path that wanders by more than its fixes scatter
 # would wander less over a bin than over two, and seem to last longer.

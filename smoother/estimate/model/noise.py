@@ -90,9 +90,10 @@ def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Ar
 class Noise:
     """inertial: densities of the samples and walks of the biases. position m, velocity m/s (3,): white noise of fixes,
     per axis of n. offset_sigma (3,) m, offset_tau s: the slow error of the fixes, a Gauss-Markov process. slip rad:
-    sideslip in a hard corner, None without wheels. constants: prior sigmas by name that are identified with the noise. sigmas: of the rows of factors whose sigma is identified from their
-    residuals alone, by the factor's name. offset_tau_spread: sigma of the logarithm of offset_tau where the session
-    shows it, infinite where it is the population's.
+    sideslip in a hard corner, None without wheels. constants: prior sigmas by name that are identified with the noise.
+    sigmas: of the rows of factors whose sigma is identified from their residuals alone, by the factor's name.
+    offset_tau_spread: sigma of the logarithm of offset_tau where the session shows it, infinite where it is the
+    population's.
     """
 
     inertial: InertialNoise
