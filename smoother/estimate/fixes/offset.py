@@ -121,7 +121,7 @@ def reported_share(fixes: GnssFixes, usual: float) -> float:
     """
     if fixes.sigma_horizontal is None or not np.any(np.isfinite(fixes.sigma_horizontal)):
         return 1.0
-    share = math.sqrt(np.nanmean(np.minimum(fixes.sigma_horizontal / usual, MOST_WORSE * HALF) ** 2))
+    share = float(np.nanmedian(fixes.sigma_horizontal)) / usual
     return float(np.clip(share, 1.0 / MOST_WORSE, np.clip(share / HALF, 1.0, MOST_WORSE)))
 
 

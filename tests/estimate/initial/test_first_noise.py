@@ -11,20 +11,10 @@ from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset
 
-CENTIMETRES, METRES = 0.02, 1.5
-
 
 @pytest.fixture(scope="module")
 def session() -> Session:
     return prepare(simulate_preset("white", 3, duration=40.0, imu=None, mag=None).raw)
-
-
-def test_accuracies_that_change_count_by_their_squares(session: Session) -> None:
-    n = len(session.gnss)
-    reported = np.where(np.arange(n) < 0.75 * n, CENTIMETRES, METRES)
-    mixed = replace(session, gnss=replace(session.gnss, sigma_horizontal=reported))
-    share = reported_share(mixed.gnss, GraphOptions().offset_sigma[0])
-    assert share == pytest.approx(np.sqrt(0.25) * METRES / GraphOptions().offset_sigma[0], rel=0.02)
 
 
 @pytest.mark.parametrize(("claimed", "share"), [(0.5, 0.25), (4.0, 1.0), (5.6, 1.0), (9.0, 1.59), (100.0, 10.0)])
