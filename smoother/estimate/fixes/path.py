@@ -217,7 +217,7 @@ class GnssPath:
 @dataclass(frozen=True, eq=False)
 class _Known:
     """What stays the same through the rounds. scale (M, 4): sigma of each fix over the usual; start as in
-    PathPrior; latency_change s, the usual one.
+    PathPrior; reported m: usual accuracy by the receiver, 0 if unknown.
     """
 
     measured: Measured
@@ -225,7 +225,7 @@ class _Known:
     start: tuple[Array, Array]
     lag: tuple[float, float]
     options: GnssPathOptions
-    latency_change: float
+    reported: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +267,7 @@ def _fit(session: Session, options: GnssPathOptions) -> GnssPath:
         _anchor(position_n, weight),
         lag,
         options,
-        _latency_change(fixes, options),
+        _reported_accuracy(fixes),
     )
     state = _first_state(known, _node_times(true_t, fixes.t[-1], lag[0], options), weight)
     rounds = 0
@@ -306,11 +306,11 @@ def _thinned(t: Array, gap: float) -> Array:
     return np.asarray(t[chosen])
 
 
-def _latency_change(fixes: GnssFixes, options: GnssPathOptions) -> float:
-    """Usual change of the latency, s; next to none where the receiver reports no accuracy."""
+def _reported_accuracy(fixes: GnssFixes) -> float:
+    """Usual horizontal accuracy that the receiver reports, m; 0 where it reports none."""
     assert fixes.sigma_horizontal is not None
     reported = fixes.sigma_horizontal[np.isfinite(fixes.sigma_horizontal)]
-    return max(options.latency_change * float(median(reported)), PUNCTUAL) if reported.size else PUNCTUAL
+    return float(median(reported)) if reported.size else 0.0
 
 
 def _first_weights(measured: Measured) -> Array:
@@ -341,7 +341,7 @@ def _first_state(known: _Known, t: Array, weight: Array) -> _State:
             x[:, axis] = np.interp(t, measured.true_t[good], measured.position_n[good, axis])
             x[:, VELOCITY.start + axis] = np.gradient(x[:, axis], t)
     nodes = Nodes(t, x, known.lag[0], np.zeros(3))
-    return _State(nodes, fix_rows(nodes, measured), weight, noise.first_noise())
+    return _State(nodes, fix_rows(nodes, measured), weight, noise.first_noise(known.reported))
 
 
 def _improve(known: _Known, now: _State, number: int) -> _State:
@@ -384,7 +384,10 @@ def _relaxed(before: Nodes, after: Nodes) -> Nodes:
 def _prior(known: _Known, now: noise.PathNoise) -> PathPrior:
     level, up = (WhiteJerk(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
     options, (start, start_sigma) = known.options, known.start
-    slow = np.array([*options.offset_sigma, known.latency_change]) * now.wander[[0, 0, 1, 2]]
+    slow = (
+        np.array([*options.offset_sigma, max(options.latency_change * known.reported, PUNCTUAL)])
+        * now.wander[[0, 0, 1, 2]]
+    )
     tau = np.array([options.offset_tau] * 3 + [options.latency_change_tau])
     return PathPrior((level, up), slow, tau, start, start_sigma, known.lag, options.velocity_bias_sigma)
 

@@ -17,6 +17,7 @@ from smoother.samples import GnssFixes
 
 # By kind (position, height, velocity, climb): m, m, m/s, m/s.
 START_SIGMA = np.array([1.0, 2.0, 0.4, 0.6])  # wide, so that a rough start rejects nothing true
+REPORTED_SHARE = 0.2  # of the reported accuracy: white noise of positions to start from
 # Prior where the data do not determine it. Positions of receivers that filter scatter by 0.01-0.03 m from one to the
 # next, those of others by 0.2 and more: between both, neither line nor offset is far off.
 USUAL_SIGMA = np.array([0.1, 0.175, 0.2, 0.3])
@@ -56,9 +57,13 @@ class PathNoise:
     wander: Array = field(default_factory=lambda: START_WANDER)
 
 
-def first_noise() -> PathNoise:
-    """Return the noise to start from."""
-    return PathNoise(START_SIGMA, START_JERK, START_VEHICLE)
+def first_noise(reported: float) -> PathNoise:
+    """Return the noise to start from; reported m: accuracy by the receiver.
+
+    It comes down to what the fixes show. From below, the path would follow bad positions, and Doppler would seem bad.
+    """
+    sigma = np.array([*np.maximum(START_SIGMA[:2], REPORTED_SHARE * reported), *START_SIGMA[2:]])
+    return PathNoise(sigma, START_JERK, START_VEHICLE)
 
 
 def relative_sigmas(fixes: GnssFixes) -> Array:
