@@ -1,4 +1,4 @@
-"""Attitude to start from: for any mounting of the box, with or without a standstill.
+"""Attitude to start from: for any mounting of the sensor, with or without a standstill.
 
 While a kart drives, it points nearly along its path and is nearly level. So, in axes of the path (forward, left, up),
 rate and specific force are known from the fixes: the rate is the course's rate about up, the force is the path's
@@ -21,6 +21,7 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.fixes.screen import has_velocities
+from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
 from smoother.estimate.preprocess.gains import Gains
 from smoother.estimate.preprocess.streams import (
     LAGS,
@@ -60,7 +61,8 @@ class Alignment:
     share_explained: part (0..1) of rate and force that the fixes explain. is_level_only: the heading of the sensor in
     the kart is unknown, for want of fixes at speed. accel_noise m/s^2/sqrt(Hz), gyro_noise rad/s/sqrt(Hz): densities of
     white noise that would explain the rest, upper bounds. problems: axes of the sensor that no rotation explains.
-    gains: see `preprocess.gains`; None without fixes at speed.
+    gains: see `preprocess.gains`; None without fixes at speed. by_changes: fixes are rare; share_explained is that of
+    turns and of changes of velocity from one fix to the next, whichever is less.
     """
 
     R_bs: Array
@@ -72,6 +74,7 @@ class Alignment:
     gyro_noise: float = 0.0
     problems: tuple[Problem, ...] = ()
     gains: Gains | None = None
+    by_changes: bool = False
 
     @property
     def is_misnamed(self) -> bool:
@@ -81,6 +84,8 @@ class Alignment:
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     """Fit mounting, gyro bias and lag to a whole session; see the module's text."""
+    if path.is_measured and are_rare(path.t) and (rare := align_rare(imu, path)) is not None:
+        return _of_rare(rare)
     use = sampled_at_speed(imu, path)
     if use.size < FEWEST_AT_SPEED:
         return _level_only(imu, use.size)
@@ -100,10 +105,16 @@ def _unsampled(sampled: Array, t: Array) -> BoolArray:
     return np.asarray(in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
 
 
+def _of_rare(found: RareAlignment) -> Alignment:
+    share = max(min(found.turned, found.moved), 0.0)
+    noise = found.accel_noise, found.gyro_noise
+    return Alignment(found.R_bs, found.gyro_bias_s, found.lag, share, False, *noise, by_changes=True)
+
+
 def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
     """Mounting and biases from motion along the path's axes (N, 3) and what the IMU measured, each (N, 3)."""
     rate_fit, force_fit = _fit_lines(axes[:, 2:], rate), _fit_lines(axes[:, :2], force)
-    # each slope is a direction of the kart's axis in the box; gravity's is the intercept of the force
+    # each slope is a direction of the kart's axis in the sensor; gravity's is the intercept of the force
     gains = Gains.of(force_fit.lines, rate_fit.lines, float(force_fit.share), float(rate_fit.share))
     directions_s = np.concatenate([gains.force.T, gains.turn[None]])
     directions_b = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, 1.0]])

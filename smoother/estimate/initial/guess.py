@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, are_near
+from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
 from smoother.estimate.factors.constraints import far_from_heights
 from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, readings_inside, table_without
@@ -25,7 +25,7 @@ from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
 from smoother.estimate.preprocess.gains import is_on_wheel, without_the_wheels
 from smoother.estimate.preprocess.pauses import NO_PAUSES, Pauses
-from smoother.estimate.preprocess.streams import MIN_SPEED, REPORTED_NEAR, PathMotion
+from smoother.estimate.preprocess.streams import MIN_SPEED, PathMotion, near_reported
 from smoother.estimate.solvers.identify import Problem
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.fit.standstill import confirmed_at_rest, session_standstill
@@ -70,9 +70,9 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
     path = fit_path(session)
     is_measured = most_have_velocity(session.gnss.velocity_n)
     moving = session.gnss.velocity_n if is_measured else session.fix_position_n
-    known, t = np.asarray(np.isfinite(moving[:, :2]).all(axis=1)), session.gnss.t
-    is_reported = None if known.all() else are_near(t, t[known], REPORTED_NEAR)
-    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_reported)
+    reported = np.asarray(np.isfinite(moving[:, :2]).all(axis=1))
+    is_reported = None if reported.all() else near_reported(session.gnss.t, reported)
+    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_reported)
     alignment = align(session.imu, driven)
     is_steered = not alignment.is_misnamed and is_on_wheel(session.imu, session.gnss)
     if is_steered:

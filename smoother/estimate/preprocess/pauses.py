@@ -58,6 +58,10 @@ class Pauses:
         passed = np.searchsorted(self.spans[:, 1], t, side="right")
         return np.asarray(t >= np.append(self.spans[:, 0], np.inf)[passed])
 
+    def between(self, t: Array) -> Array:
+        """Seconds (K-1,) cut out between closed times t (K,), rising."""
+        return np.diff(self._removed_until(np.searchsorted(self.cuts, t, side="right")))
+
     def stretches(self, t: Array) -> list[slice]:
         """Return which of the closed times t (N,), rising, lie between the cuts: P + 1 slices."""
         edges = [0, *np.searchsorted(t, self.cuts).tolist(), len(t)]

@@ -13,13 +13,13 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, median
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, are_near, median
 from smoother.disc import pieces, release, roomy
 from smoother.frames import wrap_angle
 from smoother.samples import ImuSamples
 
-MIN_SPEED = 3.0  # m/s, above which the course is close to the heading
-REPORTED_NEAR = 1.0  # s; some receivers report their velocity less often than their position
+MIN_SPEED = 3.0  # m/s below which a course says little about the nose
+REPORTED_NEAR = 1.0  # s; some receivers tell their velocity less often than their position
 LAGS = np.arange(-0.2, 0.81, 0.1)  # s tried for the delay of the fixes; what they explain bends once within WINDOW
 
 
@@ -27,11 +27,13 @@ LAGS = np.arange(-0.2, 0.81, 0.1)  # s tried for the delay of the fixes; what th
 class PathMotion:
     """Motion of the kart from the fixes. t (N,) s; velocity_n (N, 3) m/s, Up may be NaN.
 
-    is_reported (N,): whether a fix near it reports a velocity; None where all do.
+    is_measured: whether these are velocities of the receiver, not of a line through its positions. is_reported (N,):
+    near a fix that reports one, and no bridge across those that were left out; None where all are.
     """
 
     t: Array
     velocity_n: Array
+    is_measured: bool = True
     is_reported: BoolArray | None = None
 
     @property
@@ -48,6 +50,11 @@ class PathMotion:
     def yaw(self) -> Array:
         """Direction of travel, anticlockwise from north, (N,) rad."""
         return np.arctan2(self.velocity_n[:, 1], self.velocity_n[:, 0])
+
+
+def near_reported(t: Array, reported: BoolArray) -> BoolArray:
+    """Mask (N,) of times t (N,) s near one with a reported value, mask (N,)."""
+    return are_near(t, t[reported], REPORTED_NEAR)
 
 
 def path_axes(path: PathMotion) -> Array:
@@ -84,8 +91,10 @@ def peak(x: Array, y: Array) -> float:
     return float(x[i] + np.clip(0.5 * (before - after) / bend, -1.0, 1.0) * (x[1] - x[0]))
 
 
-WINDOW = 0.5  # s over which both sides of the fit are averaged: longer than the error of a lag, shorter than a corner
-SHARED = 1 << 21  # samples, up to which the sums are kept; those of a day fill the disc
+# Mean specific force and angular rate of the IMU around some times, and where samples are missing.
+
+WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
+SHARED = 1 << 21  # samples, of which the sums are kept for the next who asks; those of a day fill the disc
 FEW = 500  # times that are looked up together: each brings 100 kB of its surroundings into memory
 
 
@@ -105,11 +114,16 @@ class Averages:
 
     def around(self, t: Array, width: float) -> tuple[Array, Array]:
         """Mean force and rate, each (..., 3), over `width` seconds around t (...)."""
-        total = np.empty((*t.shape, 6))
-        for some in pieces(t.shape[-1], FEW):
-            total[..., some, :] = self._until(t[..., some] + 0.5 * width) - self._until(t[..., some] - 0.5 * width)
+        force, rate = self.between(t - 0.5 * width, t + 0.5 * width)
+        return force / width, rate / width
+
+    def between(self, since: Array, until: Array) -> tuple[Array, Array]:
+        """Integrals of force and rate, each (..., 3), from since (...) to until (...) s."""
+        total = np.empty((*since.shape, 6))
+        for some in pieces(since.shape[-1], FEW):
+            total[..., some, :] = self._until(until[..., some]) - self._until(since[..., some])
             release(self._t, self._sum)
-        return total[..., :3] / width, total[..., 3:] / width
+        return total[..., :3], total[..., 3:]
 
     def _until(self, t: Array) -> Array:
         """The sums (..., 6) until t (...), linear between samples."""
@@ -138,15 +152,18 @@ def in_gap(sampled: Array, t: Array) -> BoolArray:
 
     sampled (M,) s: times of the samples.
     """
-    holes = [
-        part.start + np.flatnonzero(np.diff(sampled[part.start : part.stop + 1]) > WINDOW)
-        for part in pieces(len(sampled) - 1)
-    ]
-    before = np.concatenate([np.empty(0, dtype=np.int64), *holes])
+    before = before_holes(sampled)
     if not len(before):
         return np.zeros(len(t), dtype=np.bool_)
     latest = np.searchsorted(sampled[before] - 1.0, t) - 1
     return np.asarray((latest >= 0) & (t < sampled[before + 1][np.maximum(latest, 0)] + 1.0))
+
+
+def before_holes(sampled: Array) -> IntArray:
+    """Return the rows (H,) of times sampled (M,) s after which samples are missing, for longer than WINDOW."""
+    parts = pieces(len(sampled) - 1)  # all differences of a day would be 140 MB
+    holes = [part.start + np.flatnonzero(np.diff(sampled[part.start : part.stop + 1]) > WINDOW) for part in parts]
+    return np.concatenate([np.empty(0, dtype=np.int64), *holes])
 
 
 def steps(t: Array, part: slice) -> Array:

@@ -75,6 +75,7 @@ def test_times_that_are_cut_out_are_at_the_cut() -> None:
 def test_what_lies_between_the_cuts_is_distinguished() -> None:
     t = np.array([5.0, 9.0, 10.0, 19.0, 21.0])
     assert TWO.stretches(t) == [slice(0, 2), slice(2, 4), slice(4, 5)]
+    np.testing.assert_allclose(TWO.between(t), [0.0, 100.0, 0.0, 1000.0])
 
 
 def test_without_pauses_nothing_is_cut_out() -> None:
