@@ -14,12 +14,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from smoother.estimate.factors.graph import GraphOptions
 from smoother.estimate.fixes.agreement import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.fixes.reported_noise import unseen_wander
 from smoother.estimate.initial.begin import AlignedSession, begin
 from smoother.estimate.initial.guess import Start
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.state import COLUMNS
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.identified import field_values

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.estimate.factors.constraints import heading_rows
+from smoother.estimate.factors.graph import GraphOptions
 from smoother.estimate.initial.guess import (
     Start,
     busiest_part,
@@ -16,7 +17,6 @@ from smoother.estimate.initial.guess import (
     longest_sampled,
     problem_of,
 )
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.heading import Heading, heading_from_field
 from smoother.estimate.model.imu import HOLE, MOSTLY_MISSING, BinnedImu
 from smoother.estimate.model.state import State

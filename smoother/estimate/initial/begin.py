@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 
 from smoother.arrays import BoolArray
+from smoother.estimate.factors.graph import GraphOptions
 from smoother.estimate.fixes.screen import settling_problems, unsettled, without_positions
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.guess import Start, make_start
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, Step, fit_drift, fit_step
 from smoother.estimate.preprocess.force_delay import UNSEEN, ForceDelay, in_step
 from smoother.estimate.preprocess.pauses import closed_up, pauses_of

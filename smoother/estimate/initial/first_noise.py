@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median
+from smoother.estimate.factors.graph import GraphOptions
 from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.initial.align import Alignment
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.imu import BinnedImu, mostly_sampled
 from smoother.estimate.model.noise import InertialNoise, Noise
 from smoother.estimate.model.state import SIZES

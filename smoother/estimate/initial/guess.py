@@ -10,7 +10,15 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
 from smoother.estimate.factors.constraints import far_from_heights
-from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, readings_inside, table_without
+from smoother.estimate.factors.graph import (
+    MAX_LATENCY,
+    Factor,
+    GraphOptions,
+    Measurements,
+    Priors,
+    readings_inside,
+    table_without,
+)
 from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.factors.wheels import readings_of
 from smoother.estimate.fixes.offset import reported_share
@@ -19,7 +27,6 @@ from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.fixes.screen import most_have_velocity
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
 from smoother.estimate.initial.first_noise import first_noise, scale_at_rest, scatter_of
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.imu import BinnedImu, are_sampled, bin_imu, has_hole, sampled_spans
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State

@@ -14,10 +14,9 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.errors import UsageError
 from smoother.estimate.factors.gaussian import custom_factors
-from smoother.estimate.factors.graph import Factor, Graph, Inputs, build_graph
+from smoother.estimate.factors.graph import Factor, Graph, GraphOptions, Inputs, build_graph
 from smoother.estimate.factors.rows import Rows, robust
 from smoother.estimate.initial.guess import make_start, problem_of, stretch
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import COLUMNS, DIMENSIONS, KEYS, State, keyframe_keys
 from smoother.estimate.solvers.batch import step

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smoother.estimate.factors.graph import GraphOptions
 from smoother.estimate.fixes.offset import reported_share
-from smoother.estimate.initial.options import GraphOptions
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset

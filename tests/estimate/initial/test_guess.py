@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.factors.graph import MAX_LATENCY
+from smoother.estimate.factors.graph import MAX_LATENCY, GraphOptions
 from smoother.estimate.initial.guess import keyframe_times, make_start
-from smoother.estimate.initial.options import GraphOptions
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from smoother.estimate.factors.gaussian import custom_factors
-from smoother.estimate.factors.graph import TABLE, Inputs, build_graph
+from smoother.estimate.factors.graph import TABLE, GraphOptions, Inputs, build_graph
 from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.initial.guess import make_start, problem_of
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import State
 from smoother.estimate.smoother import GraphSmoother

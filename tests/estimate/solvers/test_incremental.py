@@ -6,9 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from smoother.estimate.factors.graph import Graph
+from smoother.estimate.factors.graph import Graph, GraphOptions
 from smoother.estimate.initial.guess import make_start, problem_of
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.state import COLUMNS
 from smoother.estimate.solvers import incremental
 from smoother.estimate.solvers.batch import Step, step
