@@ -127,9 +127,7 @@ class TestDegrading:
             assert "one clock" in told["imu_unusable"] and "[gps] position_latency" in told["imu_unusable"]
 
     @pytest.mark.parametrize("of_another_drive", [False, True])
-    def test_samples_are_told_from_those_of_another_drive_by_one_fix_in_five_seconds(
-        self, of_another_drive: bool
-    ) -> None:
+    def test_samples_of_another_drive_are_detected_with_one_fix_in_five_seconds(self, of_another_drive: bool) -> None:
         simulation = simulate_preset("kart", 71, duration=200.0, imu_accel_noise=0.9, track="tinbarn")
         session = prepare(simulation.raw)
         rare = session.gnss.select(np.arange(8, len(session.gnss), 25))
@@ -141,7 +139,7 @@ class TestDegrading:
         told = {p.code for p in s.trajectory.report.problems}
         assert ("imu_unusable" in told) == of_another_drive
 
-    def test_with_one_fix_in_ten_seconds_the_sensor_tells_the_bends_between(self) -> None:
+    def test_with_one_fix_in_ten_seconds_the_sensor_shows_the_bends_between(self) -> None:
         """Of the laps such fixes show little: alone they are 9 m/s off."""
         simulation = simulate_preset("kart", 71, duration=250.0, track="tinbarn")
         session = prepare(simulation.raw)

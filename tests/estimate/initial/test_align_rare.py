@@ -64,7 +64,7 @@ def test_mounting_bias_and_lag_are_found_whatever_the_kart_does_between_fixes(
     assert rare.turned > 0.95 and rare.moved > 0.95
 
 
-def test_a_bias_that_makes_a_whole_turn_from_fix_to_fix_is_told_by_the_velocities(truth: Truth) -> None:
+def test_a_bias_of_a_whole_turn_from_fix_to_fix_is_found_by_the_velocities(truth: Truth) -> None:
     one_turn = np.array([0.0, 0.0, 36.0 * DEG])  # in 10 s
     rare = found(box(truth, np.eye(3), one_turn), fixes(truth, 10.0))
     assert rare.gyro_bias_s[2] == pytest.approx(one_turn[2], abs=1.0 * DEG)
