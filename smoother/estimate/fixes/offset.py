@@ -34,6 +34,8 @@ LEAST_DOPPLER = 0.5  # share of the fixes with Doppler
 PRICE = 2.0  # logarithm of likelihood that an offset's two values, which always fit a little better, have to be worth
 # Receivers report half to twice the error of their fixes, of both axes; at most ten times the usual is used.
 HALF, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
+# m, reported with corrections only; percentile of the fixes without them, and by what factor those are worse
+CORRECTED, WORSE, MIXED = 0.1, 92.0, 6.0
 NONE = 0.005  # of the usual offset, where there is none: a centimetre
 UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
 TIMES = 10.0  # taus that a session has to last for its own sigma and tau
@@ -118,10 +120,14 @@ def reported_share(fixes: GnssFixes, usual: float) -> float:
     """Horizontal accuracy that a receiver reports over the usual slow error, m: 1 where it reports none.
 
     A session shows no wander that is slower than the session is long; there the receiver's own report counts.
+    Where corrections came or went, the accuracy of the fixes without them counts for all.
     """
     if fixes.sigma_horizontal is None or not np.any(np.isfinite(fixes.sigma_horizontal)):
         return 1.0
-    share = float(np.nanmedian(fixes.sigma_horizontal)) / usual
+    accuracy, worse = np.nanpercentile(fixes.sigma_horizontal, [50.0, WORSE])
+    if accuracy < CORRECTED and worse > MIXED * accuracy:
+        accuracy = worse
+    share = float(accuracy) / usual
     return float(np.clip(share, 1.0 / MOST_WORSE, np.clip(share / HALF, 1.0, MOST_WORSE)))
 
 
